@@ -1,0 +1,1 @@
+"""Robot, board and arena as dm_control composer entities."""

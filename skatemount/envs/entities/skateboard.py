@@ -1,0 +1,202 @@
+"""A skateboard whose trucks steer when the deck leans, built from parameters."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from dm_control import composer, mjcf
+
+from skatemount.envs.entities import board_visuals
+from skatemount.envs.entities.skateboard_config import SkateboardConfig
+
+__all__ = ["WELD_SOLIMP", "WELD_SOLREF", "Skateboard", "SkateboardConfig"]
+
+WELD_SOLREF = (0.02, 1.0)
+"""solref of a weld that holds the deck: the shortest time constant that 10 ms steps allow."""
+
+WELD_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)
+"""solimp of that weld: 120 N off the centre move the deck by less than 1 mm and 0.2 degrees."""
+
+_BOARD_BIT = 2
+_ROBOT_BIT = 1
+_COLLISION_GROUP = 3
+_CONTACT_SOLREF = (0.02, 1.0)
+_CONTACT_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
+# MuJoCo scales a stop's force by the inertia of its own joint, here a truck's few g m2, while the
+# load on it is a robot's. With the default impedance the stop is hardly stiffer than the bushing.
+_STOP_SOLREF = (0.02, 1.0)
+_STOP_SOLIMP = (0.99, 0.9995, 0.001, 0.5, 2.0)
+
+
+class Skateboard(composer.Entity):
+    """The board: a flat box to stand on, two trucks on tilted axes, four wheels.
+
+    The root frame is the board frame: origin at the centre of the deck's top, x forward, z up.
+    Attached with ``arena.add_free_entity(board)`` and put at ``(0, 0, config.deck_height)``, its
+    wheels touch the floor. A wheel touches with a sphere of its radius in its middle: one contact,
+    where a cylinder has up to four.
+
+    Feet meet the deck with the larger one of the two geoms' friction coefficients (MuJoCo's rule
+    while neither has a priority), so ``deck_friction``, the grip tape's, is a lower bound.
+    """
+
+    def _build(self, config: SkateboardConfig | None = None, name: str = "board") -> None:
+        """Builds the board.
+
+        Args:
+            config: its settings; the default board without.
+            name: of the model.
+
+        Raises:
+            ConfigError: if a setting cannot be used.
+        """
+        self._config = config or SkateboardConfig()
+        self._config.validate(name)
+        self._root = mjcf.RootElement(model=name)
+        self._root.compiler.angle = "radian"
+        collision = self._root.default.add("default", dclass="collision").geom
+        collision.set_attributes(
+            contype=_BOARD_BIT,
+            conaffinity=_ROBOT_BIT,
+            condim=3,
+            group=_COLLISION_GROUP,
+            rgba=(0.2, 0.6, 0.9, 0.4),
+            solref=_CONTACT_SOLREF,
+            solimp=_CONTACT_SOLIMP,
+        )
+        board_visuals.add_materials(self._root, self._config)
+        self._truck_joints: list[mjcf.Element] = []
+        self._wheel_joints: list[mjcf.Element] = []
+        self._wheel_geoms: list[mjcf.Element] = []
+        self._add_deck()
+        for end, forward in (("front", 1), ("rear", -1)):
+            truck = self._add_truck(end, forward)
+            for side, left in (("R", -1), ("L", 1)):
+                self._add_wheel(truck, f"{end[0].upper()}{side}_wheel", left)
+
+    @property
+    def mjcf_model(self) -> mjcf.RootElement:
+        """The board's model."""
+        return self._root
+
+    @property
+    def config(self) -> SkateboardConfig:
+        """What the board was built from."""
+        return self._config
+
+    @property
+    def deck_site(self) -> mjcf.Element:
+        """Site of the board frame."""
+        return self._deck_site
+
+    @property
+    def deck_geom(self) -> mjcf.Element:
+        """The box that feet stand on, the only collision geom of the deck."""
+        return self._deck_geom
+
+    @property
+    def truck_joints(self) -> list[mjcf.Element]:
+        """Hinges of the front and the rear truck."""
+        return list(self._truck_joints)
+
+    @property
+    def wheel_joints(self) -> list[mjcf.Element]:
+        """Axle hinges FR, FL, RR, RL; positive speeds roll the board forward."""
+        return list(self._wheel_joints)
+
+    @property
+    def wheel_geoms(self) -> list[mjcf.Element]:
+        """Collision spheres FR, FL, RR, RL."""
+        return list(self._wheel_geoms)
+
+    def _add_deck(self) -> None:
+        c = self._config
+        body = self._root.worldbody
+        self._deck_site = body.add("site", name="deck", pos=(0, 0, 0), size=(0.005,), group=5)
+        self._deck_geom = body.add(
+            "geom",
+            name="deck",
+            dclass="collision",
+            type="box",
+            size=(c.deck_length / 2, c.deck_width / 2, c.deck_thickness / 2),
+            pos=(0, 0, -c.deck_thickness / 2),
+            mass=c.deck_mass,
+            friction=(c.deck_friction, 0.005, 0.0001),
+        )
+        board_visuals.add_deck(self._root, c)
+
+    def _add_truck(self, end: str, forward: int) -> mjcf.Element:
+        """A truck: pivot at axle height on the centre line, axis leaning outboard.
+
+        With the front axis (sin, 0, cos) and the rear one (-sin, 0, cos) a lean to the right turns
+        the front axle to the right and the rear one to the left.
+        """
+        c = self._config
+        theta = math.radians(c.truck_angle)
+        axis = np.array([forward * math.sin(theta), 0, math.cos(theta)])
+        pivot = np.array([forward * c.wheelbase / 2, 0, -c.roll_axis_depth])
+        board_visuals.add_truck_mount(self._root, c, pivot, axis)
+
+        truck = self._root.worldbody.add("body", name=f"{end}_truck", pos=pivot)
+        # Inertia of the hanger, a rod between the wheels.
+        across = c.truck_mass * (c.track - c.wheel_width) ** 2 / 12
+        around = c.truck_mass * (0.36 * c.wheel_radius) ** 2 / 2
+        inertia = (across, around, across)
+        truck.add("inertial", pos=(0, 0, 0), mass=c.truck_mass, diaginertia=inertia)
+        limit = math.radians(c.truck_limit)
+        self._truck_joints.append(
+            truck.add(
+                "joint",
+                name=f"{end}_truck",
+                type="hinge",
+                axis=axis,
+                stiffness=c.truck_stiffness,
+                springref=0,
+                damping=c.truck_damping,
+                armature=0,
+                frictionloss=0,
+                limited=True,
+                range=(-limit, limit),
+                solreflimit=_STOP_SOLREF,
+                solimplimit=_STOP_SOLIMP,
+            )
+        )
+        board_visuals.add_truck(truck, c)
+        return truck
+
+    def _add_wheel(self, truck: mjcf.Element, name: str, left: int) -> None:
+        c = self._config
+        wheel = truck.add("body", name=name, pos=(0, left * c.track / 2, 0))
+        spin = c.wheel_mass * c.wheel_radius**2 / 2
+        across = c.wheel_mass * (3 * c.wheel_radius**2 + c.wheel_width**2) / 12
+        inertia = (across, spin, across)
+        wheel.add("inertial", pos=(0, 0, 0), mass=c.wheel_mass, diaginertia=inertia)
+        # All that a default could bring along is set here: a robot joint's armature or friction
+        # would outweigh the wheel's many times.
+        self._wheel_joints.append(
+            wheel.add(
+                "joint",
+                name=name,
+                type="hinge",
+                axis=(0, 1, 0),
+                limited=False,
+                stiffness=c.wheel_stiffness,
+                springref=0,
+                damping=c.wheel_damping,
+                frictionloss=c.wheel_friction,
+                armature=c.wheel_armature,
+            )
+        )
+        self._wheel_geoms.append(
+            wheel.add(
+                "geom",
+                name=name,
+                dclass="collision",
+                type="sphere",
+                size=(c.wheel_radius,),
+                mass=0,
+                friction=(c.wheel_grip, 0.005, 0.0001),
+            )
+        )
+        board_visuals.add_wheel(wheel, c)
