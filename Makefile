@@ -1,7 +1,7 @@
 # Everything from a machine that has only Python and make:
 #   make train | demo | test          set up the environment, then do the job
 # VENV=<folder> puts the environment elsewhere, PYTHON=<python> chooses the interpreter, and
-# ARGS="..." is handed to the main command of `train`, `demo` and `test`.
+# ARGS="..." is handed to the main command of `train`, `demo` and `test`, PIPFLAGS="-q" to pip.
 
 SHELL := /bin/sh
 VENV ?= .venv
@@ -10,7 +10,8 @@ ARGS ?=
 STAGE ?= balance
 
 PY := $(VENV)/bin/python
-PIP := $(PY) -m pip --disable-pip-version-check
+PIPFLAGS ?=
+PIP := $(PY) -m pip install --disable-pip-version-check $(PIPFLAGS)
 # labmaze has no wheel for Python 3.13 (see stubs/labmaze), so the others are tried first.
 CANDIDATES := $(if $(PYTHON),"$(PYTHON)",python3.12 python3.11 python3.13 python3 python)
 LOCK := pyproject.toml constraints.txt
@@ -51,22 +52,22 @@ clean:
 	rm -rf .venv build dist docs/_build docs/api .mypy_cache .pytest_cache .ruff_cache
 	find conf docs skatemount tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
-setup: $(VENV)/.setup-run
-setup-test: $(VENV)/.setup-test
-setup-dev: $(VENV)/.setup-dev
+setup: $(VENV)/.setup-run ; @:
+setup-test: $(VENV)/.setup-test ; @:
+setup-dev: $(VENV)/.setup-dev ; @:
 
 # Each stamp is renewed only when the dependencies change. The larger set-ups contain the
 # smaller ones and renew their stamps too.
 $(VENV)/.setup-run: $(LOCK) | $(VENV)/.created
-	$(PIP) install -q -c constraints.txt -e .
+	$(PIP) -c constraints.txt -e .
 	@touch $@
 
 $(VENV)/.setup-test: $(LOCK) | $(VENV)/.created
-	$(PIP) install -q -c constraints.txt -e '.[test]'
+	$(PIP) -c constraints.txt -e '.[test]'
 	@touch $(VENV)/.setup-run $@
 
 $(VENV)/.setup-dev: $(LOCK) | $(VENV)/.created
-	$(PIP) install -q -c constraints.txt -e '.[test,dev,docs]'
+	$(PIP) -c constraints.txt -e '.[test,dev,docs]'
 	@touch $(VENV)/.setup-run $(VENV)/.setup-test $@
 
 # The interpreters are run, not only looked up: a version manager's shim may exist for a
@@ -95,5 +96,5 @@ $(VENV)/.created:
 	fi; \
 	echo "Setting up $(VENV) with Python $$version (the first time downloads the libraries)"; \
 	"$$python" -m venv --clear "$(VENV)" || exit 1; \
-	if [ "$$version" = 3.13 ]; then $(PIP) install -q ./stubs/labmaze || exit 1; fi; \
+	if [ "$$version" = 3.13 ]; then $(PIP) ./stubs/labmaze || exit 1; fi; \
 	touch $@

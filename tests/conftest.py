@@ -1,0 +1,49 @@
+"""What every test shares: headless rendering, few threads, a place for runs."""
+
+from __future__ import annotations
+
+import os
+import sys
+from ctypes.util import find_library
+from pathlib import Path
+
+import pytest
+
+# Decided before anything imports mujoco or dm_control, which read it once. Without a GL library
+# the backend is left to them: only tests that render need one.
+if sys.platform.startswith("linux") and "MUJOCO_GL" not in os.environ:
+    for backend, library in (("egl", "EGL"), ("osmesa", "OSMesa")):
+        if find_library(library):
+            os.environ["MUJOCO_GL"] = backend
+            break
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("MPLBACKEND", "agg")
+
+import torch  # noqa: E402
+
+torch.set_num_threads(1)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skips the tests marked `gpu` where there is no CUDA device."""
+    if torch.cuda.is_available():
+        return
+    no_gpu = pytest.mark.skip(reason="needs a CUDA device")
+    for item in items:
+        if item.get_closest_marker("gpu"):
+            item.add_marker(no_gpu)
+
+
+@pytest.fixture(scope="session")
+def repo_root() -> Path:
+    """The top of the clone."""
+    return Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def runs_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder for runs; the working directory is its parent."""
+    monkeypatch.chdir(tmp_path)
+    root = tmp_path / "runs"
+    root.mkdir()
+    return root
