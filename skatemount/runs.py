@@ -1,0 +1,317 @@
+"""Run folders: where a training puts what it makes, and how to find it again.
+
+A run is `<root>/<experiment>/<YYYY-MM-DD_HH-MM-SS>_<name>/`. In it, `latest` and `best` are text
+files whose first line names a checkpoint folder relative to the run; `<root>/latest` names the
+newest run that has a checkpoint, relative to the root. They are files and not links so that they
+survive copying and work on every system.
+"""
+
+from __future__ import annotations
+
+import datetime
+import itertools
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from skatemount import atomic
+from skatemount.checkpoint import is_checkpoint, list_checkpoints, step_folder
+from skatemount.errors import ConfigError
+from skatemount.provenance import environment_report, git_report
+
+POLICIES = Path(__file__).resolve().parent / "policies"
+PRETRAINED = "pretrained:"
+POINTERS = ("latest", "best")
+
+_NAME = re.compile(r"[\w][\w.,=+-]*")
+_RUN_NAME = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_.+")
+
+
+class RunFolder:
+    """One training's folder.
+
+    Attributes:
+        path: The folder.
+    """
+
+    def __init__(self, path: Path, root: Path | None = None) -> None:
+        """Wraps a folder that exists; use `create` or `open`."""
+        self.path = path
+        self._root = root
+
+    @classmethod
+    def create(
+        cls, root: Path | str, experiment: str, name: str, config: dict, overrides: list[str]
+    ) -> RunFolder:
+        """Makes a new run folder and notes what is run, with which code and on what.
+
+        Args:
+            root: Folder of all runs, usually `runs`.
+            experiment: Name of the group of runs, one path component.
+            name: Name of this run, appended to the time; one path component.
+            config: The full resolved configuration as plain data.
+            overrides: What was given on the command line.
+
+        Returns:
+            The run; its folder is new even if another run starts in the same second.
+
+        Raises:
+            ConfigError: A name is not a plain one, or the configuration is not plain data.
+        """
+        for setting, value in (("experiment", experiment), ("name", name)):
+            if not _NAME.fullmatch(value):
+                raise ConfigError(
+                    f"{setting}={value!r}: letters, digits and . , = + - _ make a folder name"
+                )
+        try:
+            config_text = yaml.safe_dump(config, sort_keys=False, allow_unicode=True)
+        except yaml.YAMLError as error:
+            reason = " ".join(str(error).split())
+            raise ConfigError(f"config: not plain data, needed for YAML ({reason})") from error
+        parent = Path(root) / experiment
+        stem = f"{datetime.datetime.now():%Y-%m-%d_%H-%M-%S}_{name}"
+        for suffix in itertools.chain([""], (f"_{n}" for n in itertools.count(2))):
+            path = parent / f"{stem}{suffix}"
+            try:
+                path.mkdir(parents=True)
+            except FileExistsError:
+                continue
+            break
+        atomic.write_text(path / "overrides.yaml", yaml.safe_dump(list(overrides)))
+        atomic.write_text(path / "git.diff", git_report())
+        atomic.write_text(path / "environment.txt", environment_report())
+        atomic.write_text(path / "config.yaml", config_text)  # last: it marks a complete run
+        return cls(path, Path(root))
+
+    @classmethod
+    def open(cls, path: Path | str) -> RunFolder:
+        """Opens an existing run, to resume it or to read it.
+
+        Args:
+            path: The run folder, or a checkpoint folder in it.
+
+        Raises:
+            ConfigError: It is not a run.
+        """
+        path = Path(path)
+        for folder in (path, path.parent.parent if path.parent.name == "checkpoints" else path):
+            if _is_run(folder):
+                return cls(folder)
+        raise ConfigError(f"run={str(path)!r}: not a run folder (config.yaml and git.diff in it)")
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The configuration it was started with.
+
+        Raises:
+            ConfigError: `config.yaml` is damaged.
+        """
+        path = self.path / "config.yaml"
+        try:
+            config = yaml.safe_load(path.read_text(encoding="utf-8"))
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{path}: not plain YAML ({' '.join(str(error).split())})") from error
+        if not isinstance(config, dict):
+            raise ConfigError(f"{path}: holds a {type(config).__name__}, a mapping is needed")
+        return config
+
+    @property
+    def checkpoints(self) -> Path:
+        """Folder of the checkpoints, made when first asked for; so are the others below."""
+        return self._folder("checkpoints")
+
+    @property
+    def videos(self) -> Path:
+        """Folder of the films."""
+        return self._folder("videos")
+
+    @property
+    def report(self) -> Path:
+        """Folder of the report."""
+        return self._folder("report")
+
+    @property
+    def exported(self) -> Path:
+        """Folder of exported policies."""
+        return self._folder("exported")
+
+    @property
+    def metrics_csv(self) -> Path:
+        """The metrics' table (a file, made by `skatemount.loggers.MetricsLog`)."""
+        return self.path / "metrics.csv"
+
+    @property
+    def curves_png(self) -> Path:
+        """The picture of the learning curves."""
+        return self.path / "curves.png"
+
+    @property
+    def latest(self) -> Path | None:
+        """The checkpoint marked last, or the newest there is if that one is gone."""
+        marked = _follow(self.path / "latest")
+        if marked is not None and is_checkpoint(marked):
+            return marked
+        return next(reversed(list_checkpoints(self.path / "checkpoints")), None)
+
+    @property
+    def best(self) -> Path | None:
+        """The checkpoint with the highest score, if any had one."""
+        marked = _follow(self.path / "best")
+        return marked if marked is not None and is_checkpoint(marked) else None
+
+    def checkpoint(self, frames: int) -> Path:
+        """Returns where the checkpoint after `frames` environment steps belongs."""
+        return self.checkpoints / step_folder(frames)
+
+    def mark_checkpoint(self, folder: Path, score: float | None) -> None:
+        """Points `latest` at a checkpoint, and `best` too if no score was higher so far.
+
+        At equal scores the later checkpoint is the best: it has trained longer.
+
+        Args:
+            folder: A checkpoint folder of this run.
+            score: Higher is better; None or not a number if it was not evaluated.
+
+        Raises:
+            ConfigError: The folder is not a checkpoint of this run.
+        """
+        folder = Path(folder)
+        inside = folder.resolve().is_relative_to(self.path.resolve())
+        if not inside or not is_checkpoint(folder):
+            raise ConfigError(f"{folder}: not a checkpoint of the run {self.path}")
+        target = folder.resolve().relative_to(self.path.resolve()).as_posix()
+        atomic.write_text(self.path / "latest", f"{target}\n")
+        if score is not None and not math.isnan(score) and score >= self._best_score():
+            atomic.write_text(self.path / "best", f"{target}\nscore {float(score)!r}\n")
+        self._mark_run()
+
+    def _mark_run(self) -> None:
+        root = self.path.absolute().parent.parent
+        # A run that was opened may have been moved anywhere: there, no pointer is strewn about.
+        if self._root is None and not (root / "latest").is_file():
+            return
+        newest = _follow(root / "latest")
+        if newest is None or _age_key(self.path) >= _age_key(newest):
+            relative = self.path.absolute().relative_to(root).as_posix()
+            atomic.write_text(root / "latest", f"{relative}\n")
+
+    def _best_score(self) -> float:
+        if self.best is None:
+            return -math.inf
+        _, _, note = (self.path / "best").read_text(encoding="utf-8").partition("\nscore ")
+        try:
+            return float(note)
+        except ValueError:
+            return -math.inf
+
+    def _folder(self, name: str) -> Path:
+        folder = self.path / name
+        folder.mkdir(exist_ok=True)
+        return folder
+
+
+def find_checkpoint(
+    spec: str, root: Path | str = Path("runs"), setting: str = "checkpoint"
+) -> Path:
+    """Finds the checkpoint or policy file that a user means.
+
+    Args:
+        spec: A checkpoint folder; a `.safetensors` file; a run folder (its latest checkpoint) or
+            `RUN/best`, as a path or relative to `root`; `latest` or `best` (of the newest run that
+            has a checkpoint); `pretrained:NAME` (a policy shipped with the package).
+        root: Folder of all runs.
+        setting: The setting's name, for error messages.
+
+    Returns:
+        A checkpoint folder, or a `.safetensors` file; `load_policy` takes both.
+
+    Raises:
+        ConfigError: There is none; the line says what there is.
+    """
+    root = Path(root)
+    spec = str(spec)
+    if spec.startswith(PRETRAINED):
+        file = POLICIES / f"{spec.removeprefix(PRETRAINED)}.safetensors"
+        if file.parent == POLICIES and file.is_file():
+            return file
+        raise ConfigError(f"{setting}={spec!r}: no such policy; there is {_choices(_pretrained())}")
+    if spec in POINTERS:
+        run = _newest_run(root)
+        if run is None:
+            raise ConfigError(
+                f"{setting}={spec!r}: no run in {str(root)!r} has a checkpoint yet; "
+                f"there is {_choices(_pretrained())}"
+            )
+        return _of_run(run, spec, f"{setting}={spec!r}")
+    for path in (Path(spec), root / spec):
+        if path.is_file() and path.name not in POINTERS:
+            if path.suffix != ".safetensors":
+                raise ConfigError(
+                    f"{setting}={spec!r}: a {path.suffix or 'nameless'} file; policies are "
+                    ".safetensors files, pickle-based ones (.pt) are never loaded"
+                )
+            return path
+        if path.is_dir() and is_checkpoint(path):
+            return path
+        if _is_run(path):
+            return _of_run(path, "latest", f"{setting}={spec!r}")
+        if path.name in POINTERS and _is_run(path.parent):
+            return _of_run(path.parent, path.name, f"{setting}={spec!r}")
+    names = [str(run) for run in itertools.islice(_runs_with_checkpoints(root), 3)]
+    raise ConfigError(
+        f"{setting}={spec!r}: not found; there is {_choices([*names, *_pretrained()])}"
+    )
+
+
+def _of_run(run: Path, which: str, where: str) -> Path:
+    folder = RunFolder(run)
+    found = folder.best if which == "best" else folder.latest
+    if found is not None:
+        return found
+    others = [p.relative_to(run).as_posix() for p in list_checkpoints(run / "checkpoints")]
+    what = "no best checkpoint" if which == "best" else "no checkpoint"
+    raise ConfigError(f"{where}: run {str(run)!r} has {what} yet; it has {_choices(others)}")
+
+
+def _newest_run(root: Path) -> Path | None:
+    marked = _follow(root / "latest")
+    if marked is not None and RunFolder(marked).latest is not None:
+        return marked
+    return next(_runs_with_checkpoints(root), None)
+
+
+def _runs_with_checkpoints(root: Path) -> Iterator[Path]:
+    runs = sorted(filter(_is_run, root.glob("*/*")), key=_age_key, reverse=True)
+    return (run for run in runs if RunFolder(run).latest is not None)
+
+
+def _is_run(path: Path) -> bool:
+    # Two files, because a folder of settings has a config.yaml as well.
+    return (path / "config.yaml").is_file() and (path / "git.diff").is_file()
+
+
+def _age_key(run: Path) -> tuple[str, str]:
+    """Sorts runs by the time in their names, then by the names; renamed ones are the oldest."""
+    return ("", run.name) if _RUN_NAME.fullmatch(run.name) is None else (run.name[:19], run.name)
+
+
+def _follow(pointer: Path) -> Path | None:
+    """Returns what a pointer file names, if the file and the folder exist."""
+    try:
+        target = pointer.read_text(encoding="utf-8").partition("\n")[0].strip()
+    except (OSError, UnicodeDecodeError):
+        return None
+    folder = pointer.parent / target
+    return folder if target and folder.is_dir() else None
+
+
+def _pretrained() -> list[str]:
+    return [f"{PRETRAINED}{file.stem}" for file in sorted(POLICIES.glob("*.safetensors"))]
+
+
+def _choices(names: list[str]) -> str:
+    return ", ".join(names) or "none"
