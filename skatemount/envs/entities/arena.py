@@ -31,7 +31,7 @@ class MountArena(composer.Arena):
             ConfigError: if the friction is not a positive number.
         """
         if not 0 < floor_friction < float("inf"):
-            raise ConfigError(f"floor_friction = {floor_friction!r} must be greater than 0")
+            raise ConfigError(f"floor_friction={floor_friction!r} must be greater than 0")
         super()._build(name)
         root = self._mjcf_root
         # Composer's empty arena asks for noslip iterations: costly, and not every engine has them.

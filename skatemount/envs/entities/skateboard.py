@@ -21,8 +21,11 @@ WELD_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)
 _BOARD_BIT = 2
 _ROBOT_BIT = 1
 _COLLISION_GROUP = 3
-_CONTACT_SOLREF = (0.02, 1.0)
-_CONTACT_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
+# Stiff tyres: with MuJoCo's default the board would roll on its tyres as much as on its bushings.
+# The weight makes the wheel's values count and not its average with the floor's.
+_WHEEL_SOLREF = (0.02, 1.0)
+_WHEEL_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)
+_WHEEL_SOLMIX = 1000.0
 # MuJoCo scales a stop's force by the inertia of its own joint, here a truck's few g m2, while the
 # load on it is a robot's. With the default impedance the stop is hardly stiffer than the bushing.
 _STOP_SOLREF = (0.02, 1.0)
@@ -62,8 +65,6 @@ class Skateboard(composer.Entity):
             condim=3,
             group=_COLLISION_GROUP,
             rgba=(0.2, 0.6, 0.9, 0.4),
-            solref=_CONTACT_SOLREF,
-            solimp=_CONTACT_SOLIMP,
         )
         board_visuals.add_materials(self._root, self._config)
         self._truck_joints: list[mjcf.Element] = []
@@ -154,7 +155,7 @@ class Skateboard(composer.Entity):
                 stiffness=c.truck_stiffness,
                 springref=0,
                 damping=c.truck_damping,
-                armature=0,
+                armature=c.truck_armature,
                 frictionloss=0,
                 limited=True,
                 range=(-limit, limit),
@@ -197,6 +198,9 @@ class Skateboard(composer.Entity):
                 size=(c.wheel_radius,),
                 mass=0,
                 friction=(c.wheel_grip, 0.005, 0.0001),
+                solref=_WHEEL_SOLREF,
+                solimp=_WHEEL_SOLIMP,
+                solmix=_WHEEL_SOLMIX,
             )
         )
         board_visuals.add_wheel(wheel, c)

@@ -11,6 +11,7 @@ _MAY_BE_ZERO = frozenset(
     {
         "truck_stiffness",
         "truck_damping",
+        "truck_armature",
         "wheel_stiffness",
         "wheel_damping",
         "wheel_friction",
@@ -45,6 +46,7 @@ class SkateboardConfig:
     truck_stiffness: float = 20.0
     truck_damping: float = 1.0
     truck_limit: float = 7.0
+    truck_armature: float = 0.005
     wheel_stiffness: float = 0.0
     wheel_damping: float = 1.0e-5
     wheel_friction: float = 0.0015
@@ -130,7 +132,7 @@ class SkateboardConfig:
         """
 
         def refuse(name: str, expected: str) -> None:
-            raise ConfigError(f"{where}.{name} = {getattr(self, name)!r} must be {expected}")
+            raise ConfigError(f"{where}.{name}={getattr(self, name)!r} must be {expected}")
 
         for item in fields(self):
             value = getattr(self, item.name)
