@@ -229,24 +229,20 @@ class A1(composer.Entity):
         return self._kinematics
 
 
-def scale_gains(gainprm: Any, biasprm: Any, kp_scale: Any, kd_scale: Any) -> tuple[Any, Any]:
+def scale_gains(gainprm: Any, kp_scale: Any, kd_scale: Any) -> Any:
     """Scales the position and velocity gains of the robot's actuators.
 
-    Works on NumPy arrays and torch tensors, for one model or a batch of worlds. Both gains of a
-    DC motor are in `gainprm`; `biasprm`, where other position actuators keep a part of theirs, is
-    taken and returned so that a caller need not know which kind this robot has.
+    Works on NumPy arrays and torch tensors, for one model or a batch of worlds.
 
     Args:
         gainprm: `actuator_gainprm` of the robot's actuators, shape (..., 12, 10).
-        biasprm: `actuator_biasprm` of the same, shape (..., 12, 10).
         kp_scale: Factor of the position gain, broadcastable to (..., 12).
         kd_scale: Factor of the velocity gain, broadcastable to (..., 12).
 
     Returns:
-        The new `gainprm`, a copy, and `biasprm` as it was. Torque limit and torque-speed line are
-        unchanged.
+        A new array of the shape of `gainprm`; torque limit and torque-speed line are unchanged.
     """
     scaled = gainprm.clone() if hasattr(gainprm, "clone") else np.array(gainprm)
     scaled[..., KP_INDEX] *= kp_scale
     scaled[..., KD_INDEX] *= kd_scale
-    return scaled, biasprm
+    return scaled

@@ -199,20 +199,16 @@ def test_scale_gains_changes_the_force(held):
     rng = np.random.default_rng(1)
     q, offset, v = entity.default_pose, rng.uniform(-0.3, 0.3, 12), rng.uniform(-3, 3, 12)
     kp_scale, kd_scale = rng.uniform(0.5, 2, (3, 12)), rng.uniform(0.5, 2, (3, 12))
-    bias = model.actuator_biasprm.copy()
-    worlds = (np.tile(original, (3, 1, 1)), np.tile(bias, (3, 1, 1)))
-    batch, batch_bias = scale_gains(*worlds, kp_scale, kd_scale)
-    assert batch.shape == batch_bias.shape == (3, 12, 10)
+    batch = scale_gains(np.tile(original, (3, 1, 1)), kp_scale, kd_scale)
+    assert batch.shape == (3, 12, 10)
     try:
         for world in range(3):
             model.actuator_gainprm[:] = batch[world]
-            model.actuator_biasprm[:] = batch_bias[world]
             force = actuator_force(entity, physics, q + offset, q, v)
             expected = motor_law(q + offset, q, v, 35 * kp_scale[world], 0.7 * kd_scale[world])
             np.testing.assert_allclose(force, expected, atol=1e-9)
     finally:
         model.actuator_gainprm[:] = original
-        model.actuator_biasprm[:] = bias
     assert (original[:, KP_INDEX] == 35).all()
     assert (original[:, KD_INDEX] == 0.7).all()
 
@@ -220,8 +216,7 @@ def test_scale_gains_changes_the_force(held):
 def test_scale_gains_takes_tensors_and_leaves_its_input_alone():
     torch = pytest.importorskip("torch")
     gains = torch.ones(2, 12, 10)
-    factors = (torch.full((2, 1), 1.5), torch.full((2, 1), 0.5))
-    scaled, _ = scale_gains(gains, torch.zeros(2, 12, 10), *factors)
+    scaled = scale_gains(gains, torch.full((2, 1), 1.5), torch.full((2, 1), 0.5))
     assert (gains == 1).all()
     assert (scaled[..., KP_INDEX] == 1.5).all()
     assert (scaled[..., KD_INDEX] == 0.5).all()

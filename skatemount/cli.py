@@ -1,0 +1,63 @@
+"""How every `python -m skatemount.<verb>` starts: Hydra composes the settings, errors are one line."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+
+import hydra
+from omegaconf import DictConfig
+
+from skatemount import config as configuration
+from skatemount.config import Config
+from skatemount.errors import ConfigError
+
+
+def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
+    """Compose the settings from the command line and run a verb on them; `-m` runs it once a combination.
+
+    A mistake in the settings ends the program with one line and status 2; ``SKATEMOUNT_TRACEBACK=1`` shows where it came
+    from.
+
+    Args:
+        verb: Takes the settings and the overrides that led to them.
+        name: What the program is called.
+    """
+    # Without this Hydra prints a screen of its own and ends the program itself.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+
+    @hydra.main(config_path=str(configuration.config_dir().absolute()), config_name="config", version_base="1.3")
+    def application(composed: DictConfig) -> None:
+        overrides = list(hydra.core.hydra_config.HydraConfig.get().overrides.task)
+        verb(configuration.to_object(composed), overrides)
+
+    try:
+        _check_stages(sys.argv[1:])
+        application()
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except Exception as error:
+        if os.environ.get("SKATEMOUNT_TRACEBACK"):
+            raise
+        expected = isinstance(error, ConfigError | FloatingPointError) or _from_hydra(error)
+        if not expected:
+            raise
+        text = str(error) if isinstance(error, ConfigError) else configuration.one_line(error)
+        print(f"skatemount.{name}: {text}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _check_stages(arguments: list[str]) -> None:
+    """Name the stages there are, which Hydra's own message on an unknown group member does not do in a line."""
+    for argument in arguments:
+        key, _, value = argument.partition("=")
+        if key in ("stage", "+stage", "++stage"):
+            if not key.startswith("+"):
+                raise ConfigError(f"{argument}: write +stage={value}")
+            for each in value.split(","):
+                configuration.check_stage(each)
+
+
+def _from_hydra(error: BaseException) -> bool:
+    return type(error).__module__.split(".")[0] in ("hydra", "omegaconf")

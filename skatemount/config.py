@@ -1,0 +1,230 @@
+"""The configuration as one validated whole: Hydra composes the YAML groups, dataclasses say what they may hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra.core.config_store import ConfigStore
+from omegaconf import DictConfig, OmegaConf
+
+import skatemount
+from skatemount.envs.settings import TaskConfig
+from skatemount.errors import ConfigError
+from skatemount.losses.ppo import AlgorithmConfig
+from skatemount.models import NetworkConfig
+
+PRECISIONS = ("highest", "medium", "bf16")
+
+
+@dataclass
+class StageConfig:
+    """What a stage is called and starts from.
+
+    Attributes:
+        name: Of the stage.
+        description: One line.
+        init_from: Policy that the stage starts from; nothing if null.
+        success: ``mount`` (standing on the board) or ``gait`` (following the command).
+    """
+
+    name: str = ""
+    description: str = ""
+    init_from: str | None = None
+    success: str = "mount"
+
+
+@dataclass
+class CollectorConfig:
+    """How a batch of experience is collected.
+
+    Attributes:
+        steps: Control steps a world between two updates.
+        random_phase: Let the first episodes start at random phases, so that they do not all end at once.
+    """
+
+    steps: int = 24
+    random_phase: bool = True
+
+
+@dataclass
+class LoggerConfig:
+    """What is written, and how often.
+
+    Attributes:
+        root: Folder of all runs.
+        experiment: Folder of this experiment's runs below it.
+        name: Of the run; the stage's name if null.
+        tensorboard: Whether to write TensorBoard events.
+        csv: Whether to write ``metrics.csv``, from which the curves are drawn.
+        progress_every: Seconds between two lines of progress where the output is no terminal.
+        plot_every: Seconds between two drawings of the learning curves.
+        checkpoint_every: Iterations between two checkpoints.
+        keep_checkpoints: How many of the newest are kept; the best is kept besides.
+        evaluate_every: Iterations between two deterministic evaluations; 0 for none.
+        evaluate_episodes: Episodes of each.
+        final_episodes: Episodes of the evaluation at the end; 0 for none.
+    """
+
+    root: str = "runs"
+    experiment: str = "skatemount"
+    name: str | None = None
+    tensorboard: bool = True
+    csv: bool = True
+    progress_every: float = 5.0
+    plot_every: float = 60.0
+    checkpoint_every: int = 100
+    keep_checkpoints: int = 3
+    evaluate_every: int = 50
+    evaluate_episodes: int = 256
+    final_episodes: int = 1000
+
+
+@dataclass
+class Config(TaskConfig):
+    """Every setting; see ``conf/config.yaml``."""
+
+    stage: StageConfig = field(default_factory=StageConfig)
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    algorithm: AlgorithmConfig = field(default_factory=AlgorithmConfig)
+    collector: CollectorConfig = field(default_factory=CollectorConfig)
+    logger: LoggerConfig = field(default_factory=LoggerConfig)
+    seed: int = 0
+    total_frames: int = 6_000_000
+    precision: str = "medium"
+    torch_threads: int = 0
+    init_from: str | None = "stage"
+    resume: str | None = None
+    checkpoint: str = "latest"
+    suite: str | None = None
+    episodes: int = 1000
+    json: str | None = None
+    output: str | None = None
+
+    def validate(self) -> None:
+        """Raise `ConfigError` for the first setting that cannot be used."""
+        super().validate()
+        self.network.validate("network")
+        self.algorithm.validate("algorithm")
+        if self.precision not in PRECISIONS:
+            raise ConfigError(f"precision={self.precision} must be one of {', '.join(PRECISIONS)}")
+        for name in ("total_frames", "episodes"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name}={getattr(self, name)} must be at least 1")
+        for name in ("seed", "torch_threads"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"{name}={getattr(self, name)} must be 0 or more")
+        at_least_one = (("collector", "steps"), ("logger", "checkpoint_every"), ("logger", "keep_checkpoints"))
+        for group, name in at_least_one:
+            value = getattr(getattr(self, group), name)
+            if value < 1:
+                raise ConfigError(f"{group}.{name}={value} must be at least 1")
+
+
+ConfigStore.instance().store(name="schema", node=Config)
+
+
+def config_dir() -> Path:
+    """Folder of the YAML groups: inside the package in a wheel, beside it in a clone."""
+    package = Path(skatemount.__file__).parent
+    for folder in (package / "conf", package.parent / "conf"):
+        if (folder / "config.yaml").is_file():
+            return folder
+    raise ConfigError(f"no configuration found beside or inside {package}: install skatemount again")
+
+
+def stages() -> dict[str, str]:
+    """Every stage with its one-line description."""
+    found = {}
+    for path in sorted((config_dir() / "stage").glob("*.yaml")):
+        stage = OmegaConf.load(path)
+        found[path.stem] = str(OmegaConf.select(stage, "stage.description", default=""))
+    return found
+
+
+def check_stage(name: str) -> None:
+    """Raise `ConfigError` unless a stage of that name exists."""
+    if name not in stages():
+        raise ConfigError(f"stage={name} is not a stage; there are: {', '.join(stages())}")
+
+
+def to_object(config: DictConfig) -> Config:
+    """A composed configuration as dataclasses, validated.
+
+    Raises:
+        ConfigError: A value that cannot be used.
+    """
+    result = OmegaConf.to_object(config)
+    assert isinstance(result, Config)
+    result.validate()
+    return result
+
+
+def compose(stage: str | None = None, overrides: Sequence[str] = ()) -> Config:
+    """Compose a configuration from Python; works while a Hydra application is running, too.
+
+    Args:
+        stage: Name of a stage, or none.
+        overrides: Further settings in Hydra's syntax.
+
+    Raises:
+        ConfigError: An unknown stage, setting or value.
+    """
+    if stage is not None:
+        check_stage(stage)
+        overrides = [f"+stage={stage}", *overrides]
+    try:
+        with hydra.initialize_config_dir(str(config_dir().absolute()), version_base="1.3"):
+            composed = hydra.compose("config", list(overrides))
+    except Exception as error:
+        raise ConfigError(one_line(error)) from error
+    return to_object(composed)
+
+
+def compose_task(stage: str | None = None, overrides: Sequence[str] = ()) -> TaskConfig:
+    """The task's part of `compose`."""
+    return compose(stage, overrides)
+
+
+def from_dict(values: dict[str, Any]) -> Config:
+    """The configuration that a run or a card has saved.
+
+    Raises:
+        ConfigError: It does not fit this version's settings.
+    """
+    try:
+        return to_object(OmegaConf.merge(OmegaConf.structured(Config), values))
+    except ConfigError:
+        raise
+    except Exception as error:
+        raise ConfigError(f"saved configuration: {one_line(error)}") from error
+
+
+def to_dict(config: Config) -> dict[str, Any]:
+    """A configuration as plain values."""
+    values = OmegaConf.to_container(OmegaConf.structured(config))
+    assert isinstance(values, dict)
+    return values  # type: ignore[return-value]
+
+
+def one_line(error: BaseException) -> str:
+    """What an error of Hydra or OmegaConf says, without the lines that are about their insides."""
+    chain: list[BaseException] = []
+    cause: BaseException | None = error
+    while cause is not None:
+        chain.append(cause)
+        cause = cause.__cause__ or cause.__context__
+    said: list[str] = []
+    for each in chain:
+        lines = [line.strip() for line in str(each).splitlines()]
+        kept = [line for line in lines if line and not line.startswith(("reference_type=", "object_type=", "Config search path", "set HYDRA_FULL_ERROR", "provider=", "full_key:"))]
+        keys = [line.removeprefix("full_key:").strip() for line in lines if line.startswith("full_key:")]
+        text = " ".join(kept)
+        if keys and keys[0] not in text:
+            text += f" ({keys[0]})"
+        if text and text not in said:
+            said.append(text)
+    return ": ".join(said)

@@ -1,0 +1,112 @@
+"""Velocity commands: sampled for the gait, computed from the board's pose elsewhere."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from skatemount.envs.state import EpisodeState, SimState
+from skatemount.errors import ConfigError
+
+MODES = ("sampled", "board", "zero")
+
+
+@dataclass
+class CommandConfig:
+    """Where velocity commands come from.
+
+    Attributes:
+        mode: ``sampled`` from the ranges, ``board`` (toward the board, the paper's law) or ``zero``.
+        forward: Range of the forward velocity, m/s.
+        left: Range of the velocity to the left, m/s.
+        turn: Range of the turning rate, rad/s.
+        resample: Seconds until a sampled command is drawn anew.
+        standing: Share of sampled commands that are zero.
+        deadband: A sampled velocity in the plane smaller than this is set to zero, m/s.
+    """
+
+    mode: str = "board"
+    forward: list[float] = field(default_factory=lambda: [-0.5, 1.0])
+    left: list[float] = field(default_factory=lambda: [-0.5, 0.5])
+    turn: list[float] = field(default_factory=lambda: [-1.0, 1.0])
+    resample: float = 10.0
+    standing: float = 0.02
+    deadband: float = 0.2
+
+    def validate(self, where: str = "command") -> None:
+        """Raise `ConfigError` for settings that cannot be used."""
+        if self.mode not in MODES:
+            raise ConfigError(f"{where}.mode={self.mode} must be one of {', '.join(MODES)}")
+        for name in ("forward", "left", "turn"):
+            value = getattr(self, name)
+            if not (len(value) == 2 and value[0] <= value[1]):
+                raise ConfigError(f"{where}.{name}={value} must be a range [low, high] with low <= high")
+        if self.resample <= 0:
+            raise ConfigError(f"{where}.resample={self.resample} must be above 0 seconds")
+        if not 0 <= self.standing <= 1:
+            raise ConfigError(f"{where}.standing={self.standing} must be a share between 0 and 1")
+
+
+def toward_board(sim: SimState) -> Tensor:
+    """Velocity command toward the board, the law of the paper's code.
+
+    With p the board's place in the trunk's frame, psi its yaw and theta the bearing of p: within 0.5 m
+    (2 p_x, 2 p_y, psi / pi), farther away (1 - |theta| / pi, 0, theta / pi).
+
+    Args:
+        sim: The state.
+
+    Returns:
+        ``[N, 3]`` forward, left (m/s), turn left (rad/s).
+    """
+    place, x_axis = sim.board_pos_base, sim.board_rot_base[..., 0]
+    yaw = torch.atan2(x_axis[:, 1], x_axis[:, 0]) / math.pi
+    bearing = torch.atan2(place[:, 1], place[:, 0]) / math.pi
+    near = torch.linalg.vector_norm(place[:, :2], dim=-1) < 0.5
+    close = torch.stack((2 * place[:, 0], 2 * place[:, 1], yaw), 1)
+    far = torch.stack((1 - bearing.abs(), torch.zeros_like(bearing), bearing), 1)
+    return torch.where(near.unsqueeze(1), close, far)
+
+
+class Commander:
+    """Keeps the velocity command of every world.
+
+    Args:
+        config: Where commands come from.
+        control_step: Seconds between two actions.
+        generator: Source of randomness.
+    """
+
+    def __init__(self, config: CommandConfig, control_step: float, generator: torch.Generator):
+        config.validate()
+        self._config = config
+        self._steps = max(1, round(config.resample / control_step))
+        self._generator = generator
+
+    def update(self, sim: SimState, episode: EpisodeState) -> None:
+        """Set the command of every world for the next step, in place.
+
+        Args:
+            sim: The state.
+            episode: The episodes; a world whose ``command_steps`` have run out gets a new sampled command.
+        """
+        if self._config.mode == "board":
+            episode.command = toward_board(sim)
+        elif self._config.mode == "sampled":
+            due = episode.command_steps <= 0
+            episode.command = torch.where(due.unsqueeze(1), self._draw(len(due)), episode.command)
+            left = torch.where(due, self._steps, episode.command_steps)
+            episode.command_steps = left - 1
+
+    def _draw(self, n: int) -> Tensor:
+        c = self._config
+        bounds = torch.tensor([c.forward, c.left, c.turn])
+        share = torch.rand(n, 3, generator=self._generator)
+        command = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * share
+        slow = torch.linalg.vector_norm(command[:, :2], dim=-1, keepdim=True) < c.deadband
+        command[:, :2] = torch.where(slow, 0.0, command[:, :2])
+        standing = torch.rand(n, 1, generator=self._generator) < c.standing
+        return torch.where(standing, 0.0, command)

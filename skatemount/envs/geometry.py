@@ -1,0 +1,108 @@
+"""Rotations and frames on batches of torch tensors.
+
+Quaternions are ``w x y z`` and of unit length, shape ``[..., 4]``; rotation matrices ``[..., 3, 3]`` take vectors
+of the named frame to the world (their columns are the frame's axes).
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def quat_to_matrix(quat: Tensor) -> Tensor:
+    """Rotation matrices of unit quaternions.
+
+    Args:
+        quat: ``[..., 4]``, ``w x y z``.
+
+    Returns:
+        ``[..., 3, 3]``.
+    """
+    w, x, y, z = quat.unbind(-1)
+    x2, y2, z2 = 2 * x, 2 * y, 2 * z
+    xx, yy, zz = x * x2, y * y2, z * z2
+    xy, xz, yz = x * y2, x * z2, y * z2
+    wx, wy, wz = w * x2, w * y2, w * z2
+    entries = (1 - yy - zz, xy - wz, xz + wy, xy + wz, 1 - xx - zz, yz - wx)
+    entries += (xz - wy, yz + wx, 1 - xx - yy)
+    return torch.stack(entries, -1).unflatten(-1, (3, 3))
+
+
+def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
+    """Hamilton product: the rotation ``b`` followed by the rotation ``a``.
+
+    Args:
+        a: ``[..., 4]``.
+        b: ``[..., 4]``.
+
+    Returns:
+        ``[..., 4]``.
+    """
+    aw, ax, ay, az = a.unbind(-1)
+    bw, bx, by, bz = b.unbind(-1)
+    return torch.stack(
+        (
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ),
+        -1,
+    )
+
+
+def quat_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
+    """Quaternions of the intrinsic rotations yaw (z), pitch (y), roll (x).
+
+    Args:
+        roll: Radians, any shape.
+        pitch: Radians, same shape.
+        yaw: Radians, same shape.
+
+    Returns:
+        ``[..., 4]``.
+    """
+    zero = torch.zeros_like(yaw)
+
+    def about(axis: int, angle: Tensor) -> Tensor:
+        parts = [torch.cos(angle / 2), zero, zero, zero]
+        parts[axis + 1] = torch.sin(angle / 2)
+        return torch.stack(parts, -1)
+
+    return quat_multiply(quat_multiply(about(2, yaw), about(1, pitch)), about(0, roll))
+
+
+def rotate(matrix: Tensor, vectors: Tensor) -> Tensor:
+    """Take vectors of a frame to the world.
+
+    Args:
+        matrix: ``[N, 3, 3]``.
+        vectors: ``[N, 3]`` or ``[N, K, 3]``, in the frame.
+
+    Returns:
+        The same shape, in the world.
+    """
+    if vectors.dim() == matrix.dim() - 1:
+        return (matrix * vectors.unsqueeze(-2)).sum(-1)
+    return vectors @ matrix.transpose(-1, -2)
+
+
+def rotate_inverse(matrix: Tensor, vectors: Tensor) -> Tensor:
+    """Take vectors of the world into a frame.
+
+    Args:
+        matrix: ``[N, 3, 3]``.
+        vectors: ``[N, 3]`` or ``[N, K, 3]``, in the world.
+
+    Returns:
+        The same shape, in the frame.
+    """
+    if vectors.dim() == matrix.dim() - 1:
+        return (matrix * vectors.unsqueeze(-1)).sum(-2)
+    return vectors @ matrix
+
+
+def wrap_angle(angle: Tensor) -> Tensor:
+    """Angles in radians, wrapped to (-pi, pi]."""
+    return torch.atan2(torch.sin(angle), torch.cos(angle))

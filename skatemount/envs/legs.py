@@ -1,0 +1,91 @@
+"""Forward and inverse kinematics of the robot's legs, on batches.
+
+Legs are in the order FR, FL, RR, RL. Each is a hip rotation about x, then thigh and calf rotations about y:
+
+    foot = hip + Rx(q0) ([0, side * thigh_y, 0] + Ry(q1) ([0, 0, -l1] + Ry(q2) [0, 0, -l2]))
+
+in the trunk's frame, where side is -1 on the right and +1 on the left.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from skatemount.envs.entities.a1_links import LegKinematics
+
+SIDES = (-1.0, 1.0, -1.0, 1.0)
+FRONTS = (1.0, 1.0, -1.0, -1.0)
+
+
+class Legs:
+    """The kinematics of four legs.
+
+    Args:
+        kinematics: Lengths and offsets of one leg, metres.
+    """
+
+    def __init__(self, kinematics: LegKinematics):
+        self.kinematics = kinematics
+        self._side = torch.tensor(SIDES)
+        hip = [(f * kinematics.hip_x, s * kinematics.hip_y, 0.0) for f, s in zip(FRONTS, SIDES)]
+        self._hip = torch.tensor(hip)
+
+    def points(self, joints: Tensor, along_thigh: Tensor, along_calf: Tensor) -> tuple[Tensor, Tensor]:
+        """Points on the thighs' and the calves' axes in the trunk's frame.
+
+        Args:
+            joints: Joint angles ``[..., 12]``, radians.
+            along_thigh: Fractions of the thigh from the hip (0) to the knee (1), ``[P]``.
+            along_calf: Fractions of the calf from the knee (0) to the foot's centre (1), ``[Q]``.
+
+        Returns:
+            ``[..., 4, P, 3]`` and ``[..., 4, Q, 3]``, metres.
+        """
+        k = self.kinematics
+        q0, q1, q2 = joints.unflatten(-1, (4, 3)).unsqueeze(-2).unbind(-1)
+        c0, s0 = torch.cos(q0), torch.sin(q0)
+        side = (self._side * k.thigh_y).unsqueeze(-1)
+
+        def place(x: Tensor, z: Tensor) -> Tensor:
+            y = side * c0 - s0 * z
+            return torch.stack((x, y, side * s0 + c0 * z), -1) + self._hip.unsqueeze(-2)
+
+        thigh = along_thigh * k.thigh_length
+        calf = along_calf * k.calf_length
+        knee_x, knee_z = -torch.sin(q1) * k.thigh_length, -torch.cos(q1) * k.thigh_length
+        thighs = place(-torch.sin(q1) * thigh, -torch.cos(q1) * thigh)
+        calves = place(
+            knee_x - torch.sin(q1 + q2) * calf, knee_z - torch.cos(q1 + q2) * calf
+        )
+        return thighs, calves
+
+    def feet(self, joints: Tensor) -> Tensor:
+        """Centres of the feet in the trunk's frame, ``[..., 12]`` radians to ``[..., 4, 3]`` metres."""
+        end = torch.ones(1)
+        return self.points(joints, end, end)[1].squeeze(-2)
+
+    def joints(self, feet: Tensor) -> Tensor:
+        """Joint angles that put the feet's centres at the given places (knees bent backwards).
+
+        A place out of reach is approached as far as the leg goes.
+
+        Args:
+            feet: ``[..., 4, 3]`` in the trunk's frame, metres.
+
+        Returns:
+            ``[..., 12]`` radians.
+        """
+        k = self.kinematics
+        x, y, z = (feet - self._hip).unbind(-1)
+        side = self._side * k.thigh_y
+        down = torch.sqrt((y * y + z * z - side * side).clamp(min=1e-6))
+        q0 = torch.atan2(z, y) - torch.atan2(-down, side.expand_as(y))
+        reach2 = (x * x + down * down).clamp(max=(k.thigh_length + k.calf_length) ** 2 * 0.999)
+        cosine = (reach2 - k.thigh_length**2 - k.calf_length**2) / (2 * k.thigh_length * k.calf_length)
+        q2 = -torch.acos(cosine.clamp(-1.0, 1.0))
+        q1 = torch.atan2(-x, down) - torch.atan2(
+            k.calf_length * torch.sin(q2), k.thigh_length + k.calf_length * torch.cos(q2)
+        )
+        q0 = torch.atan2(torch.sin(q0), torch.cos(q0))
+        return torch.stack((q0, q1, q2), -1).flatten(-2)

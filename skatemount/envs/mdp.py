@@ -1,0 +1,158 @@
+"""The task's mathematics, once: what an action does to an episode, and what is seen, earned and ended.
+
+`Mdp` is used on a batch by `skatemount.envs.mount_env.MountEnv` and on a batch of one by
+`skatemount.envs.task.MountTask`; it touches no engine.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from skatemount.envs import success
+from skatemount.envs.commands import Commander
+from skatemount.envs.observations import ObservationTable
+from skatemount.envs.rewards import RewardTable
+from skatemount.envs.scene import Scene
+from skatemount.envs.settings import TaskConfig
+from skatemount.envs.state import EpisodeState, SimState
+from skatemount.envs.terminations import TerminationTable
+from skatemount.envs.terms import TaskContext
+
+
+@dataclass
+class Outcome:
+    """What a control step led to.
+
+    Attributes:
+        reward: ``[N]``.
+        shares: ``[terms, N]``, every reward term's weighed share.
+        ends: ``[terminations, N]`` bool.
+        terminated: ``[N]`` bool, ended by a termination.
+        truncated: ``[N]`` bool, ended by the time limit alone.
+    """
+
+    reward: Tensor
+    shares: Tensor
+    ends: Tensor
+    terminated: Tensor
+    truncated: Tensor
+
+
+class Mdp:
+    """Observations, rewards, terminations and the history they need.
+
+    Args:
+        config: Settings of the task.
+        scene: The scene, for its constants.
+        generator: Source of commands and observation noise.
+    """
+
+    def __init__(self, config: TaskConfig, scene: Scene, generator: torch.Generator):
+        self.context = TaskContext.of(scene, config.episode_length)
+        self.generator = generator
+        self.observation = ObservationTable(config.observation.policy, self.context, "observation.policy")
+        self.privileged = ObservationTable(config.observation.privileged, self.context, "observation.privileged")
+        self.rewards = RewardTable(config.reward, self.context)
+        self.terminations = TerminationTable(config.termination, self.context)
+        self._commander = Commander(config.command, self.context.control_step, generator)
+        self._noise = generator if config.observation.noise else None
+        robot = scene.robot
+        self._clip = robot.config.action_clip
+        self._scale = torch.as_tensor(robot.action_scale, dtype=torch.float32)
+
+    def targets(self, action: Tensor) -> Tensor:
+        """Joint position targets of actions.
+
+        Args:
+            action: ``[N, 12]``.
+
+        Returns:
+            ``[N, 12]`` rad: default pose + scale x clipped action.
+        """
+        return self.context.default_pose + self._scale * action.clamp(-self._clip, self._clip)
+
+    def begin(self, sim: SimState, episode: EpisodeState, mask: Tensor) -> EpisodeState:
+        """Start new episodes in the chosen worlds.
+
+        Args:
+            sim: The state, with the start states of those worlds in it.
+            episode: The episodes of all worlds.
+            mask: ``[N]`` bool.
+
+        Returns:
+            The episodes after it.
+        """
+        fresh = EpisodeState.zeros(len(mask))
+        distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
+        on_deck = success.feet_on_deck(sim)
+        fresh.on_deck = on_deck
+        fresh.off_time = torch.where(on_deck, 0.0, torch.inf)
+        fresh.touching = on_deck | success.feet_elsewhere(sim)
+        fresh.distance = fresh.previous_distance = distance
+        fresh.first_contact = torch.where(on_deck.any(1), 0.0, torch.inf)
+        relative = sim.board_rot.transpose(-1, -2)
+        place = (relative @ (sim.base_pos - sim.board_pos).unsqueeze(-1)).squeeze(-1)
+        heading = (relative @ sim.base_rot[..., :1]).squeeze(-1)
+        fresh.start = torch.cat((place[:, :2], torch.atan2(heading[:, 1:2], heading[:, :1])), 1)
+        self._commander.update(sim, fresh)
+        return fresh.where(mask, episode)
+
+    def advance(self, sim: SimState, episode: EpisodeState, action: Tensor, diverged: Tensor) -> Outcome:
+        """Account for a control step, in place.
+
+        Args:
+            sim: The state after the step.
+            episode: The episodes before it; brought up to date.
+            action: ``[N, 12]``, the step's actions.
+            diverged: ``[N]`` bool, worlds whose physics failed.
+
+        Returns:
+            What the step led to.
+        """
+        step = self.context.control_step
+        episode.step = episode.step + 1
+        episode.previous_action = episode.action
+        episode.action = action.clamp(-self._clip, self._clip)
+        episode.previous_distance = episode.distance
+        episode.distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
+        on_deck = success.feet_on_deck(sim)
+        touching = on_deck | success.feet_elsewhere(sim)
+        episode.touchdown = touching & ~episode.touching
+        episode.touching = touching
+        episode.on_deck = on_deck
+        episode.off_time = torch.where(on_deck, 0.0, episode.off_time + step)
+        episode.mounted = success.is_mounted(sim, episode.off_time)
+        episode.mounted_time = torch.where(episode.mounted, episode.mounted_time + step, 0.0)
+        elapsed = torch.where(on_deck.any(1), episode.step * step, math.inf)
+        episode.first_contact = torch.minimum(episode.first_contact, elapsed)
+
+        ends = torch.cat((self.terminations(sim, episode), diverged.unsqueeze(0)))
+        terminated = ends.any(0)
+        episode.terminated = terminated
+        truncated = (episode.step >= self.context.episode_steps) & ~terminated
+        shares = self.rewards(sim, episode)
+        # What a failed world shows means nothing; one number that is not finite would spoil the whole batch.
+        shares = torch.where(diverged, 0.0, shares)
+        self._commander.update(sim, episode)
+        return Outcome(shares.sum(0), shares, ends, terminated, truncated)
+
+    def end_names(self) -> list[str]:
+        """Names of the rows of `Outcome.ends`."""
+        return [*self.terminations.names, "diverged"]
+
+    def observe(self, sim: SimState, episode: EpisodeState) -> tuple[Tensor, Tensor]:
+        """What policy and critic see.
+
+        Args:
+            sim: The state.
+            episode: The episodes.
+
+        Returns:
+            ``[N, observation.size]``, with noise if it is on, and ``[N, privileged.size]``.
+        """
+        return self.observation(sim, episode, self._noise), self.privileged(sim, episode)
+

@@ -1,0 +1,146 @@
+"""`MountEnv`: a batch of worlds behind TorchRL's `EnvBase`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from skatemount.envs import success
+from skatemount.envs.physics.base import Physics, make_physics
+from skatemount.envs.randomization import Pushes, Randomizer
+from skatemount.envs.starts import StartQueue
+from skatemount.envs.state import EpisodeState, SimState
+from skatemount.envs.statistics import EpisodeStatistics
+from skatemount.envs.task import MountTask
+
+
+class MountEnv(EnvBase):
+    """N worlds of a `MountTask`, stepped together.
+
+        env = MountEnv(MountTask(stage="unfixed"), num_worlds=512)
+        env.rollout(100, break_when_any_done=False)
+
+    Keys: ``observation`` ``[N, D]`` (the actor's), ``privileged`` ``[N, P]`` (the critic's besides), ``action`` ``[N, 12]``
+    (joint position targets around the default pose, in units of the action scale, clipped), ``success`` ``[N, 1]`` (true in
+    the last step of an episode that succeeded), ``reward``, ``done``, ``terminated``, ``truncated`` ``[N, 1]``. A reset may
+    choose worlds by ``_reset``; the step's ``next`` entry keeps the true last observation of an episode.
+
+    Args:
+        task: The task.
+        num_worlds: Worlds stepped together; the task's setting ``physics.num_worlds`` if none.
+        threads: Physics threads; the task's setting if none, every core if 0.
+        seed: Source of every random number; results do not depend on the number of threads.
+
+    Attributes:
+        task: The task.
+        physics: The engine.
+        statistics: What happened in the episodes that ended.
+    """
+
+    def __init__(
+        self, task: MountTask, num_worlds: int | None = None, threads: int | None = None, seed: int = 0
+    ):
+        config = task.config.physics
+        physics = make_physics(task.scene, config, num_worlds, threads)
+        n = physics.num_worlds
+        super().__init__(device=torch.device("cpu"), batch_size=torch.Size([n]))
+        self.task = task
+        self.physics: Physics = physics
+        self.generator = torch.Generator()
+        self.mdp = task.make_mdp(self.generator)
+        self.statistics = EpisodeStatistics(self.mdp, n)
+        self._substeps = config.substeps
+        self._make_specs(n)
+        self.set_seed(seed)
+
+    @property
+    def num_worlds(self) -> int:
+        """Worlds stepped together."""
+        return self.batch_size[0]
+
+    @property
+    def sim(self) -> SimState:
+        """The present state of every world."""
+        return self._sim
+
+    @property
+    def episode(self) -> EpisodeState:
+        """The present episode of every world; at a step that is done, the one that ends there."""
+        return self._episode
+
+    def _make_specs(self, n: int) -> None:
+        bound = self.task.scene.robot.config.action_clip
+        self.observation_spec = Composite(
+            observation=Unbounded((n, self.mdp.observation.size)),
+            privileged=Unbounded((n, self.mdp.privileged.size)),
+            success=Binary(n=1, shape=(n, 1), dtype=torch.bool),
+            shape=(n,),
+        )
+        self.action_spec = Bounded(-bound, bound, shape=(n, 12), dtype=torch.float32)
+        self.reward_spec = Unbounded((n, 1))
+        flags = {key: Binary(n=1, shape=(n, 1), dtype=torch.bool) for key in ("done", "terminated", "truncated")}
+        self.full_done_spec = Composite(**flags, shape=(n,))
+
+    def _set_seed(self, seed: int | None) -> None:
+        """Begin anew from a seed: randomised physics, queued starts, pushes and noise alike."""
+        self.generator.manual_seed(0 if seed is None else int(seed))
+        config, n = self.task.config, self.num_worlds
+        self._queue = StartQueue(self.task.make_sampler(), max(n, 1024), self.generator)
+        self._pushes = Pushes(config.randomization, n, self.mdp.context.control_step, self.generator)
+        physics = self.physics
+        self._randomizer = Randomizer(config.randomization, physics.index, physics.model, self.generator)
+        self._randomizer.build_worlds(physics)
+        self._episode = EpisodeState.zeros(n)
+        self.statistics.clear()
+
+    def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
+        mask = torch.ones(self.num_worlds, dtype=torch.bool)
+        if tensordict is not None and "_reset" in tensordict.keys():
+            mask = tensordict["_reset"].reshape(self.num_worlds)
+        self.restart(mask)
+        return self._observation(torch.zeros_like(mask))
+
+    def restart(self, mask: Tensor) -> None:
+        """Start new episodes in some worlds.
+
+        Args:
+            mask: ``[N]`` bool.
+        """
+        self._randomizer.new_episodes(self.physics, mask)
+        self.physics.reset(mask, self._queue.take(mask))
+        self._pushes.restart(mask)
+        self._sim = self.physics.state()
+        self._episode = self.mdp.begin(self._sim, self._episode, mask)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        action = tensordict["action"]
+        if self._pushes.active:
+            self.physics.push(*self._pushes.due())
+        self.physics.step(self.mdp.targets(action), self._substeps)
+        self._sim = self.physics.state()
+        outcome = self.mdp.advance(self._sim, self._episode, action, self.physics.diverged())
+        done = outcome.terminated | outcome.truncated
+        succeeded = done & success.succeeded(self._episode, outcome.terminated, self.mdp.context.control_step)
+        self.statistics.add(self._episode, outcome, done, succeeded)
+        result = self._observation(succeeded)
+        result["reward"] = outcome.reward.unsqueeze(1)
+        result["done"] = done.unsqueeze(1)
+        result["terminated"] = outcome.terminated.unsqueeze(1)
+        result["truncated"] = outcome.truncated.unsqueeze(1)
+        return result
+
+    def _observation(self, succeeded: Tensor) -> TensorDict:
+        observation, privileged = self.mdp.observe(self._sim, self._episode)
+        values = {"observation": observation, "privileged": privileged, "success": succeeded.unsqueeze(1)}
+        return TensorDict(values, batch_size=self.batch_size)
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Stop the engine."""
+        if not self.is_closed:
+            self.physics.close()
+        super().close(raise_if_closed=raise_if_closed)

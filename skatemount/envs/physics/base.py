@@ -1,0 +1,170 @@
+"""The contract between the environment and an engine."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import mujoco
+import torch
+from torch import Tensor
+
+from skatemount.envs.scene import Scene, SceneIndex, SolverConfig
+from skatemount.envs.state import SimState
+from skatemount.errors import ConfigError
+
+
+@dataclass
+class PhysicsConfig(SolverConfig):
+    """Which engine steps how many worlds.
+
+    Attributes:
+        engine: ``cpu`` (`mujoco.batch` on threads).
+        num_worlds: Worlds stepped together.
+        threads: Physics threads; 0 takes every core.
+    """
+
+    engine: str = "cpu"
+    num_worlds: int = 1024
+    threads: int = 0
+
+    def validate(self, where: str = "physics") -> None:
+        """Raise `ConfigError` for values that cannot be simulated."""
+        super().validate(where)
+        if self.engine not in ENGINES:
+            raise ConfigError(f"{where}.engine={self.engine} must be one of {', '.join(sorted(ENGINES))}")
+        if self.num_worlds < 1:
+            raise ConfigError(f"{where}.num_worlds={self.num_worlds} must be at least 1")
+        if self.threads < 0:
+            raise ConfigError(f"{where}.threads={self.threads} must be 0 (every core) or more")
+
+
+class Physics(Protocol):
+    """N worlds of one scene.
+
+    Tensors are float32 unless said otherwise, and full-batch: a mask chooses worlds, so that shapes never depend on data.
+    """
+
+    num_worlds: int
+    model: mujoco.MjModel
+    """The scene as compiled; never randomised."""
+    index: SceneIndex
+
+    def step(self, targets: Tensor, substeps: int) -> None:
+        """Advance every world by ``substeps`` physics steps.
+
+        Args:
+            targets: ``[N, 12]`` joint position targets, rad.
+            substeps: Physics steps.
+        """
+        ...
+
+    def reset(self, mask: Tensor, start: WorldStart) -> None:
+        """Put the chosen worlds into start states and compute everything that depends on them.
+
+        Args:
+            mask: ``[N]`` bool.
+            start: One start a world; rows outside the mask are ignored.
+        """
+        ...
+
+    def push(self, mask: Tensor, velocity: Tensor) -> None:
+        """Add to the trunk's velocity in the chosen worlds.
+
+        Args:
+            mask: ``[N]`` bool.
+            velocity: ``[N, 3]`` world frame, m/s.
+        """
+        ...
+
+    def state(self) -> SimState:
+        """The state of every world; the tensors are the caller's."""
+        ...
+
+    def field(self, name: str) -> Tensor:
+        """A model field with a value for each world, ``[N, ...]``; writes take effect at the next step or reset."""
+        ...
+
+    def refresh_constants(self) -> None:
+        """Recompute what the model derives from masses and inertias after `field` changed them."""
+        ...
+
+    def diverged(self) -> Tensor:
+        """``[N]`` bool, worlds whose physics failed (not finite or out of bounds) since their last reset."""
+        ...
+
+    def close(self) -> None:
+        """Free the engine's memory and threads."""
+        ...
+
+
+@dataclass
+class WorldStart:
+    """What an engine needs to start a world.
+
+    Attributes:
+        base_pos: ``[N, 3]`` trunk centre, world, m.
+        base_quat: ``[N, 4]``.
+        base_lin_vel: ``[N, 3]`` world, m/s.
+        base_ang_vel: ``[N, 3]`` trunk frame, rad/s.
+        joint_pos: ``[N, 12]`` rad.
+        joint_vel: ``[N, 12]`` rad/s.
+        ground_height: ``[N]`` height of the robot's floor, m.
+        board_fixed: ``[N]`` bool.
+        force: ``[N, 3]`` constant force on the trunk for the episode, world, N.
+        torque: ``[N, 3]`` constant torque on the trunk, world, N m.
+    """
+
+    base_pos: Tensor
+    base_quat: Tensor
+    base_lin_vel: Tensor
+    base_ang_vel: Tensor
+    joint_pos: Tensor
+    joint_vel: Tensor
+    ground_height: Tensor
+    board_fixed: Tensor
+    force: Tensor
+    torque: Tensor
+
+    def __getitem__(self, rows: Tensor | slice) -> WorldStart:
+        """The starts of some rows."""
+        return WorldStart(**{name: value[rows] for name, value in vars(self).items()})
+
+    def __len__(self) -> int:
+        return self.base_pos.shape[0]
+
+    @staticmethod
+    def cat(parts: list[WorldStart]) -> WorldStart:
+        """Join batches of starts."""
+        return WorldStart(
+            **{name: torch.cat([getattr(p, name) for p in parts]) for name in vars(parts[0])}
+        )
+
+
+def _cpu(scene: Scene, num_worlds: int, threads: int) -> Physics:
+    from skatemount.envs.physics.cpu import CpuPhysics
+
+    return CpuPhysics(scene, num_worlds, threads)
+
+
+ENGINES: dict[str, Callable[[Scene, int, int], Physics]] = {"cpu": _cpu}
+
+
+def make_physics(
+    scene: Scene, config: PhysicsConfig, num_worlds: int | None = None, threads: int | None = None
+) -> Physics:
+    """Start the engine that the settings name.
+
+    Args:
+        scene: The scene, compiled by the engine.
+        config: Engine, number of worlds and threads.
+        num_worlds: Instead of the settings' number.
+        threads: Instead of the settings' number.
+    """
+    config = dataclasses.replace(config)
+    config.num_worlds = config.num_worlds if num_worlds is None else num_worlds
+    config.threads = config.threads if threads is None else threads
+    config.validate()
+    return ENGINES[config.engine](scene, config.num_worlds, config.threads)

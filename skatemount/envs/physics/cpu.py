@@ -1,0 +1,152 @@
+"""`CpuPhysics`: `mujoco.batch.Batch`, every world of the batch in one call on a pool of threads."""
+
+from __future__ import annotations
+
+import os
+
+import mujoco
+import numpy as np
+import torch
+from mujoco.batch import Batch
+from torch import Tensor
+
+from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.scene import Scene, SceneIndex
+from skatemount.envs.state import SimState, StateReader
+
+_POSITION_AND_VELOCITY = mujoco.mjtStage.mjSTAGE_VEL.value
+_EVERYTHING = mujoco.mjtStage.mjSTAGE_ACC.value
+_NOTHING = mujoco.mjtStage.mjSTAGE_NONE.value
+# Warnings after which MuJoCo puts a world back to the model's default state.
+_DIVERGED = [
+    int(w)
+    for w in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+]
+
+
+def available_cores() -> int:
+    """Cores that this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class CpuPhysics:
+    """Worlds stepped by MuJoCo's C engine; bit for bit what `mj_step` computes, at any number of threads.
+
+    Args:
+        scene: The scene.
+        num_worlds: Number of worlds.
+        threads: Physics threads; 0 takes every core.
+    """
+
+    def __init__(self, scene: Scene, num_worlds: int, threads: int = 0):
+        self.num_worlds = num_worlds
+        self.model = scene.compile()
+        self.index = SceneIndex.of(scene, self.model)
+        self.threads = threads or available_cores()
+        self._batch = Batch(self.model, num_worlds, self.threads)
+        bind = self._batch.bind
+        self._qpos, self._qvel, self._qacc = bind("qpos"), bind("qvel"), bind("qacc")
+        self._ctrl, self._wrench = bind("ctrl"), bind("xfrc_applied")
+        self._weld, self._mocap = bind("eq_active"), bind("mocap_pos")
+        self._sensordata = bind("sensordata")
+        # Without gaps the 12 joints are a slice, and a slice is copied without an index.
+        dof = self.index.joint_dof
+        self._joint_dof: slice | np.ndarray = dof
+        if (np.diff(dof) == 1).all():
+            self._joint_dof = slice(int(dof[0]), int(dof[-1]) + 1)
+        self._reader = StateReader(self.index)
+        self._warnings_at_reset = self._warning_counts()
+        self._batch.forward()
+
+    def step(self, targets: Tensor, substeps: int) -> None:
+        """Advance every world; see `Physics.step`."""
+        self._ctrl[:, self.index.actuators] = targets.numpy()
+        self._batch.step(nstep=substeps, stage=_POSITION_AND_VELOCITY)
+
+    def reset(self, mask: Tensor, start: WorldStart) -> None:
+        """Put the chosen worlds into start states; see `Physics.reset`."""
+        ids = np.flatnonzero(mask.numpy())
+        if not ids.size:
+            return
+        index, rows = self.index, start[torch.from_numpy(ids)]
+        self._batch.reset(ids, stage=_NOTHING)
+        qpos = self._qpos[ids]
+        qpos[:, index.base_qpos] = torch.cat((rows.base_pos, rows.base_quat), -1).numpy()
+        qpos[:, index.joint_qpos] = rows.joint_pos.numpy()
+        self._qpos[ids] = qpos
+        qvel = np.zeros((ids.size, self.model.nv))
+        qvel[:, index.base_dof] = torch.cat((rows.base_lin_vel, rows.base_ang_vel), -1).numpy()
+        qvel[:, index.joint_dof] = rows.joint_vel.numpy()
+        self._qvel[ids] = qvel
+        self._ctrl[np.ix_(ids, index.actuators)] = rows.joint_pos.numpy()
+        self._wrench[ids, index.robot_body] = torch.cat((rows.force, rows.torque), -1).numpy()
+        # A reset put these two back to the model's defaults.
+        self._weld[ids, index.weld] = rows.board_fixed.numpy()
+        self._mocap[ids, index.floor_mocap, 2] = rows.ground_height.numpy()
+        # To the last stage: short of it, force sensors would show what another world left behind.
+        self._batch.forward(ids, stage=_EVERYTHING)
+        self._warnings_at_reset[ids] = self._warning_counts()[ids]
+
+    def push(self, mask: Tensor, velocity: Tensor) -> None:
+        """Add to the trunk's velocity; see `Physics.push`."""
+        dof = self.index.base_dof.start
+        self._qvel[:, dof : dof + 3] += np.where(mask.numpy()[:, None], velocity.numpy(), 0.0)
+
+    def state(self) -> SimState:
+        """The state of every world, in memory of its own."""
+
+        def copy(values: np.ndarray) -> Tensor:
+            return torch.from_numpy(values.astype(np.float32))
+
+        return self._reader.read(
+            copy(self._sensordata),
+            copy(self._qacc[:, self._joint_dof]),
+            copy(self._mocap[:, self.index.floor_mocap, 2]),
+            torch.from_numpy(self._weld[:, self.index.weld] > 0),
+        )
+
+    def field(self, name: str) -> Tensor:
+        """A live ``[N, ...]`` float64 view of a model field with a value for each world."""
+        return torch.from_numpy(self._batch.expand(name))
+
+    def refresh_constants(self) -> None:
+        """Recompute what the model derives from masses and inertias."""
+        self._batch.set_const()
+
+    def diverged(self) -> Tensor:
+        """``[N]`` bool, worlds that MuJoCo had to give up since their last reset."""
+        rose = (self._warning_counts() > self._warnings_at_reset).any(-1)
+        return torch.from_numpy(rose | ~np.isfinite(self._qpos).all(-1))
+
+    def raw_state(self) -> np.ndarray:
+        """``[N, S]`` float64, a copy of every world's full integration state; see `set_raw_state`."""
+        return self._batch.state.copy()
+
+    def set_raw_state(self, state: np.ndarray) -> None:
+        """Restore what `raw_state` returned and compute everything that depends on it."""
+        self._batch.state[:] = state
+        self._batch.forward()
+
+    def world(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """One world as a model and data of its own, to render it.
+
+        Args:
+            i: The world.
+        """
+        model, data = self._batch.get_model(i), self._batch.get_data(i)
+        mujoco.mj_forward(model, data)
+        return model, data
+
+    def close(self) -> None:
+        """Stop the threads and free the worlds."""
+        del self._batch
+
+    def _warning_counts(self) -> np.ndarray:
+        # Each warning is a pair: what it was last about, and how often it was raised.
+        return np.array(self._batch.warning[:, _DIVERGED, 1])

@@ -1,0 +1,209 @@
+"""Randomisation of the physics, world by world, and pushes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import mujoco
+import torch
+from torch import Tensor
+
+from skatemount.envs.entities.a1 import scale_gains
+from skatemount.envs.scene import SceneIndex
+from skatemount.errors import ConfigError
+
+
+def _one() -> list[float]:
+    return [1.0, 1.0]
+
+
+def _zero() -> list[float]:
+    return [0.0, 0.0]
+
+
+@dataclass
+class RandomizationConfig:
+    """Ranges ``[low, high]`` that each world's physics is drawn from, uniformly unless said otherwise.
+
+    What concerns masses and friction is drawn once a world, gains at each of its resets.
+
+    Attributes:
+        friction: Factor on the sliding friction of the robot, the deck and the robot's floor alike: of two geoms that touch,
+            MuJoCo takes the larger friction.
+        trunk_mass: Added to the trunk, kg.
+        trunk_com: Added to each axis of the trunk's centre of mass, m.
+        inertia: Factor on the inertia of every robot body.
+        board_mass: Factor on mass and inertia of the deck.
+        truck_stiffness: Factor on the stiffness of the trucks' bushings.
+        kp: Factor on the joints' stiffness, log-uniform.
+        kd: Factor on the joints' damping, log-uniform.
+        push_interval: Seconds between two pushes; no pushes if null.
+        push_velocity: Each horizontal axis of what a push adds to the trunk's velocity, m/s.
+    """
+
+    friction: list[float] = field(default_factory=_one)
+    trunk_mass: list[float] = field(default_factory=_zero)
+    trunk_com: list[float] = field(default_factory=_zero)
+    inertia: list[float] = field(default_factory=_one)
+    board_mass: list[float] = field(default_factory=_one)
+    truck_stiffness: list[float] = field(default_factory=_one)
+    kp: list[float] = field(default_factory=_one)
+    kd: list[float] = field(default_factory=_one)
+    push_interval: list[float] | None = None
+    push_velocity: list[float] = field(default_factory=_zero)
+
+    def validate(self, where: str = "randomization") -> None:
+        """Raise `ConfigError` for ranges that cannot be drawn from."""
+        additive = ("trunk_mass", "trunk_com", "push_velocity")
+        for name, value in vars(self).items():
+            if value is None:
+                continue
+            if not (len(value) == 2 and value[0] <= value[1]):
+                raise ConfigError(f"{where}.{name}={value} must be a range [low, high] with low <= high")
+            if name not in additive and value[0] <= 0:
+                raise ConfigError(f"{where}.{name}={value} must be above 0")
+
+
+class ModelFields(Protocol):
+    """Something with a value of a model field for each world."""
+
+    def field(self, name: str) -> Tensor:
+        """``[N, ...]`` values of a field; writes change the worlds."""
+        ...
+
+    def refresh_constants(self) -> None:
+        """Recompute what the model derives from masses and inertias."""
+        ...
+
+
+class Randomizer:
+    """Draws and applies randomised physics.
+
+    Args:
+        config: Ranges.
+        index: Names to ids of the scene.
+        model: The scene's model as compiled, for the nominal values.
+        generator: Source of randomness.
+    """
+
+    def __init__(
+        self, config: RandomizationConfig, index: SceneIndex, model: mujoco.MjModel, generator: torch.Generator
+    ):
+        config.validate()
+        self.config = config
+        self._index = index
+        self._model = model
+        self._generator = generator
+
+    def _uniform(self, bounds: list[float], *shape: int) -> Tensor:
+        low, high = bounds
+        return low + (high - low) * torch.rand(*shape, generator=self._generator, dtype=torch.float64)
+
+    def _field(self, physics: ModelFields, name: str) -> tuple[Tensor, Tensor]:
+        """A field of every world, and its nominal value as a batch of one."""
+        return physics.field(name), torch.from_numpy(getattr(self._model, name)).unsqueeze(0)
+
+    def build_worlds(self, physics: ModelFields) -> None:
+        """Draw what is drawn once a world: friction, masses, inertias, bushings.
+
+        Args:
+            physics: The worlds.
+        """
+        c, index = self.config, self._index
+        if c.friction != _one():
+            friction, nominal = self._field(physics, "geom_friction")
+            geoms = index.touched_geoms
+            friction[:, geoms, 0] = nominal[:, geoms, 0] * self._uniform(c.friction, len(friction), 1)
+        if c.truck_stiffness != _one():
+            stiffness, nominal = self._field(physics, "jnt_stiffness")
+            trucks = index.truck_joints
+            stiffness[:, trucks] = nominal[:, trucks] * self._uniform(c.truck_stiffness, len(stiffness), 1)
+        changed = False
+        if c.trunk_mass != _zero() or c.board_mass != _one():
+            mass, nominal = self._field(physics, "body_mass")
+            n = len(mass)
+            board = self._uniform(c.board_mass, n)
+            trunk, deck = index.trunk_body, index.board_body
+            mass[:, trunk] = (nominal[:, trunk] + self._uniform(c.trunk_mass, n)).clamp(min=0.5)
+            mass[:, deck] = nominal[:, deck] * board
+            inertia, nominal_inertia = self._field(physics, "body_inertia")
+            inertia[:, deck] = nominal_inertia[:, deck] * board.unsqueeze(-1)
+            changed = True
+        if c.inertia != _one():
+            inertia, nominal = self._field(physics, "body_inertia")
+            bodies = index.robot_bodies
+            factor = self._uniform(c.inertia, len(inertia), len(bodies), 1)
+            inertia[:, bodies] = nominal[:, bodies] * factor
+            changed = True
+        if c.trunk_com != _zero():
+            com, nominal = self._field(physics, "body_ipos")
+            trunk = index.trunk_body
+            com[:, trunk] = nominal[:, trunk] + self._uniform(c.trunk_com, len(com), 3)
+            changed = True
+        if changed:
+            physics.refresh_constants()
+
+    def new_episodes(self, physics: ModelFields, mask: Tensor) -> None:
+        """Draw what is drawn at each reset: gains.
+
+        Args:
+            physics: The worlds.
+            mask: ``[N]`` bool, the worlds that start anew.
+        """
+        c = self.config
+        if c.kp == _one() and c.kd == _one():
+            return
+        gain, nominal = self._field(physics, "actuator_gainprm")
+        kp, kd = (
+            torch.exp(self._uniform([math.log(b) for b in bounds], len(gain), 1)) for bounds in (c.kp, c.kd)
+        )
+        gain.copy_(torch.where(mask.view(-1, 1, 1), scale_gains(nominal.expand_as(gain), kp, kd), gain))
+
+
+class Pushes:
+    """Sudden changes of the trunk's velocity at random intervals.
+
+    Args:
+        config: Ranges.
+        num_worlds: Number of worlds.
+        control_step: Seconds between two actions.
+        generator: Source of randomness.
+    """
+
+    def __init__(
+        self, config: RandomizationConfig, num_worlds: int, control_step: float, generator: torch.Generator
+    ):
+        self.config = config
+        self._step = control_step
+        self._generator = generator
+        self._left = self._intervals(num_worlds)
+
+    @property
+    def active(self) -> bool:
+        """Whether there are any."""
+        return self.config.push_interval is not None and self.config.push_velocity != _zero()
+
+    def _intervals(self, n: int) -> Tensor:
+        low, high = self.config.push_interval or (1e9, 1e9)
+        return low + (high - low) * torch.rand(n, generator=self._generator)
+
+    def due(self) -> tuple[Tensor, Tensor]:
+        """Advance by a control step.
+
+        Returns:
+            ``[N]`` bool, the worlds to push now, and ``[N, 3]`` what to add to the trunk's velocity, world, m/s.
+        """
+        n = len(self._left)
+        self._left -= self._step
+        due = self._left <= 0
+        self._left = torch.where(due, self._intervals(n), self._left)
+        low, high = self.config.push_velocity
+        velocity = low + (high - low) * torch.rand(n, 3, generator=self._generator)
+        velocity[:, 2] = 0.0
+        return due, velocity
+
+    def restart(self, mask: Tensor) -> None:
+        """Draw new intervals for the worlds of the mask, ``[N]`` bool."""
+        self._left = torch.where(mask, self._intervals(len(mask)), self._left)

@@ -1,0 +1,121 @@
+"""The reward table: which terms count, and how much."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from skatemount.envs.state import EpisodeState, SimState
+from skatemount.envs.terms import Registry, TaskContext, upright
+from skatemount.errors import ConfigError
+
+
+@dataclass
+class RewardTerm:
+    """One row of the reward table.
+
+    Attributes:
+        weight: 0 or more. Per second, or, for an event, each time it happens. Whether the term is added or subtracted is a
+            property of the term.
+        upright: Multiply by how upright the trunk is, as the paper's code does on most of its terms.
+        clip: Largest value of the term before it is weighed; none if null.
+        params: Parameters of the term's function.
+    """
+
+    weight: float = 0.0
+    upright: bool = False
+    clip: float | None = None
+    params: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a reward term is.
+
+    Attributes:
+        sign: 1 for a reward, -1 for a penalty.
+        event: Whether the weight is for each time it happens rather than per second.
+    """
+
+    sign: int
+    event: bool = False
+
+
+REWARDS = Registry("reward")
+
+
+def reward(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """Register a term that is added, per second."""
+    return REWARDS.register(Kind(1))(function)
+
+
+def penalty(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """Register a term that is subtracted, per second."""
+    return REWARDS.register(Kind(-1))(function)
+
+
+def event_penalty(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """Register a term that is subtracted each time it happens."""
+    return REWARDS.register(Kind(-1, event=True))(function)
+
+
+class RewardTable:
+    """Reward terms with their weights.
+
+    Args:
+        terms: The table; terms of weight 0 are left out.
+        context: Constants of the task.
+        where: Name of the table in the configuration, for messages.
+
+    Attributes:
+        names: Terms in order.
+    """
+
+    def __init__(self, terms: dict[str, RewardTerm], context: TaskContext, where: str = "reward"):
+        self._context = context
+        rows = []
+        for name, term in terms.items():
+            function = REWARDS.bind(name, term.params)
+            if not (math.isfinite(term.weight) and term.weight >= 0):
+                known: Kind = REWARDS.attributes(name)
+                role = "added" if known.sign > 0 else "subtracted"
+                raise ConfigError(
+                    f"{where}.{name}.weight={term.weight} must be 0 or more: the term is always {role}, "
+                    f"so give the size (such as {abs(term.weight) if math.isfinite(term.weight) else 1.0})"
+                )
+            if term.weight > 0:
+                rows.append((name, term, function, REWARDS.attributes(name)))
+        self.names = [name for name, *_ in rows]
+        self._functions = [function for _, _, function, _ in rows]
+        self._gated = [term.upright for _, term, _, _ in rows]
+        self._any_gated = any(self._gated)
+        step = context.control_step
+        weights = [k.sign * t.weight * (1.0 if k.event else step) for _, t, _, k in rows]
+        clips = [math.inf if t.clip is None else t.clip for _, t, _, _ in rows]
+        self._weights = torch.tensor(weights).unsqueeze(1)
+        self._clips = torch.tensor(clips).unsqueeze(1)
+
+    def __call__(self, sim: SimState, episode: EpisodeState) -> Tensor:
+        """Every term's share of the reward of a step.
+
+        Args:
+            sim: The state after the step.
+            episode: The episodes, with that step and its terminations in them.
+
+        Returns:
+            ``[terms, N]``, weighed; the reward is their sum.
+        """
+        n = sim.base_pos.shape[0]
+        if not self._functions:
+            return torch.zeros(0, n)
+        factor = upright(sim) if self._any_gated else None
+        values = []
+        for function, gated in zip(self._functions, self._gated):
+            value = function(sim, episode, self._context)
+            values.append(value * factor if gated else value)
+        return torch.minimum(torch.stack(values), self._clips) * self._weights

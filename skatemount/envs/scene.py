@@ -1,0 +1,282 @@
+"""The scene: robot, board and arena in one model, and where its sensors put what a `SimState` needs.
+
+The model is authored once, with composer entities. Everything the task reads comes from the model's sensors (one
+contiguous array in every engine) and from the joint accelerations; `SceneIndex` names the slices.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from dm_control import mjcf
+
+from skatemount.envs.entities.a1 import A1, A1Config
+from skatemount.envs.entities.arena import MountArena
+from skatemount.envs.entities.skateboard import WELD_SOLIMP, WELD_SOLREF, Skateboard, SkateboardConfig
+from skatemount.errors import ConfigError
+
+LEGS = ("FR", "FL", "RR", "RL")
+
+
+@dataclass
+class SolverConfig:
+    """Time stepping and MuJoCo solver settings.
+
+    Attributes:
+        timestep: Physics step, seconds.
+        substeps: Physics steps a control step.
+        solver: MuJoCo's constraint solver, ``Newton``, ``CG`` or ``PGS``.
+        iterations: Largest number of solver iterations.
+        ls_iterations: Largest number of line-search iterations.
+        cone: Friction cone, ``pyramidal`` or ``elliptic``.
+        impratio: Ratio of frictional to normal constraint impedance.
+    """
+
+    timestep: float = 0.005
+    substeps: int = 4
+    solver: str = "Newton"
+    iterations: int = 20
+    ls_iterations: int = 10
+    cone: str = "pyramidal"
+    impratio: float = 1.0
+
+    @property
+    def control_step(self) -> float:
+        """Seconds between two actions."""
+        return self.timestep * self.substeps
+
+    def validate(self, where: str = "physics") -> None:
+        """Raise `ConfigError` for values that cannot be simulated."""
+        if not 1e-4 <= self.timestep <= 0.02:
+            raise ConfigError(f"{where}.timestep={self.timestep} must be within 0.0001 and 0.02 seconds")
+        for name in ("substeps", "iterations", "ls_iterations"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
+        for name, known in (("solver", ("Newton", "CG", "PGS")), ("cone", ("pyramidal", "elliptic"))):
+            if getattr(self, name) not in known:
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be one of {', '.join(known)}")
+
+
+class Scene:
+    """The arena with the robot and the board in it.
+
+    Args:
+        robot: Settings of the A1.
+        board: Settings of the skateboard.
+        solver: Time step and solver.
+    """
+
+    def __init__(
+        self,
+        robot: A1Config | None = None,
+        board: SkateboardConfig | None = None,
+        solver: SolverConfig | None = None,
+    ):
+        self.solver = solver or SolverConfig()
+        self.arena = MountArena()
+        self.robot = A1(config=robot)
+        self.board = Skateboard(config=board)
+        self.robot_frame = self.arena.add_free_entity(self.robot)
+        self.board_frame = self.arena.add_free_entity(self.board)
+        self.board_frame.pos = (0.0, 0.0, self.board.config.deck_height)
+        # Away from the board, so that the model's own start state is a sound one too.
+        self.robot_frame.pos = (0.0, 1.0, 0.4)
+        root = self.arena.mjcf_model
+        self.weld = root.equality.add(
+            "weld",
+            name="board_fixed",
+            body1=self.board_frame,
+            solref=WELD_SOLREF,
+            solimp=WELD_SOLIMP,
+            active=True,
+        )
+        self._set_options(root)
+        self._add_cameras()
+        self._add_sensors(root)
+
+    @property
+    def deck_height(self) -> float:
+        """Height of the deck's top above the floor at rest, metres."""
+        return self.board.config.deck_height
+
+    def compile(self) -> mujoco.MjModel:
+        """Compile the scene.
+
+        Returns:
+            A model that owns its memory.
+        """
+        physics = mjcf.Physics.from_mjcf_model(self.arena.mjcf_model)
+        # The physics object frees its model when it is collected.
+        return copy.copy(physics.model.ptr)
+
+    def _set_options(self, root: mjcf.RootElement) -> None:
+        option = root.option
+        option.timestep = self.solver.timestep
+        option.integrator = "implicitfast"
+        option.solver = self.solver.solver
+        option.iterations = self.solver.iterations
+        option.ls_iterations = self.solver.ls_iterations
+        option.cone = self.solver.cone
+        option.impratio = self.solver.impratio
+
+    def _add_cameras(self) -> None:
+        self.robot.mjcf_model.worldbody.add(
+            "camera",
+            name="follow",
+            mode="trackcom",
+            pos=(0.9, -1.1, 0.55),
+            xyaxes=(0.77, 0.63, 0.0, -0.2, 0.25, 0.95),
+        )
+
+    def _add_sensors(self, root: mjcf.RootElement) -> None:
+        sensor = root.sensor
+        robot, board = self.robot, self.board
+
+        def add(kind: str, name: str, **kwargs: object) -> None:
+            sensor.add(kind, name=name, **kwargs)
+
+        base = dict(objtype="site", objname=robot.imu)
+        deck = dict(objtype="site", objname=board.deck_site)
+        add("framepos", "base_pos", **base)
+        add("framequat", "base_quat", **base)
+        add("velocimeter", "base_lin_vel", site=robot.imu)
+        add("gyro", "base_ang_vel", site=robot.imu)
+        for i, joint in enumerate(robot.joints):
+            add("jointpos", f"joint_pos_{i}", joint=joint)
+        for i, joint in enumerate(robot.joints):
+            add("jointvel", f"joint_vel_{i}", joint=joint)
+        for i, joint in enumerate(robot.joints):
+            add("jointactuatorfrc", f"joint_torque_{i}", joint=joint)
+        for reference, suffix in ((None, ""), (board.deck_site, "_board")):
+            ref = {} if reference is None else dict(reftype="site", refname=reference)
+            for i, foot in enumerate(robot.feet):
+                add("framepos", f"foot_pos{suffix}_{i}", objtype="site", objname=foot, **ref)
+            for i, foot in enumerate(robot.feet):
+                add("framelinvel", f"foot_vel{suffix}_{i}", objtype="site", objname=foot, **ref)
+        add("framepos", "board_pos", **deck)
+        add("framequat", "board_quat", **deck)
+        add("framelinvel", "board_lin_vel", **deck)
+        add("frameangvel", "board_ang_vel", **deck)
+        for i, joint in enumerate(board.truck_joints):
+            add("jointpos", f"truck_angle_{i}", joint=joint)
+        for i, joint in enumerate(board.wheel_joints):
+            add("jointvel", f"wheel_speed_{i}", joint=joint)
+        contact = dict(data="force", reduce="netforce")
+        for i, geom in enumerate(robot.foot_geoms):
+            add("contact", f"foot_deck_force_{i}", geom1=geom, geom2=board.deck_geom, **contact)
+        for i, geom in enumerate(robot.foot_geoms):
+            add("contact", f"foot_force_{i}", geom1=geom, **contact)
+        for name, geoms in robot.body_geoms.items():
+            for i, geom in enumerate(geoms):
+                add("contact", f"body_force_{name}_{i}", geom1=geom, **contact)
+
+
+@dataclass(frozen=True)
+class SceneIndex:
+    """Names to ids and slices, for one compiled scene.
+
+    Attributes:
+        sensors: Slice of the sensor array and shape a world, by `SimState` field.
+        bodies: Robot body of each row of ``body_force``, as an index into `body_names`.
+        body_names: Robot bodies other than the feet.
+        joint_qpos: Addresses of the 12 joints in ``qpos``.
+        joint_dof: Addresses of the 12 joints in ``qvel``.
+        actuators: Actuator ids in joint order.
+        base_qpos: Slice of the robot's free joint in ``qpos``; ``base_dof`` in ``qvel``.
+        board_qpos: Slice of the board's free joint in ``qpos``.
+        robot_body: Body id of the robot's free frame; ``trunk_body`` has the trunk's mass.
+        robot_bodies: Body ids of the trunk and the legs.
+        board_body: Body id of the deck.
+        truck_joints: Joint ids of the two trucks.
+        touched_geoms: Ids of the geoms whose friction the robot feels: its own, the deck, its floor.
+        weld: Equality id of the board's weld.
+        floor_mocap: Mocap id of the robot's floor.
+        joint_range: ``[12, 2]``, radians.
+    """
+
+    sensors: dict[str, tuple[slice, tuple[int, ...]]]
+    bodies: np.ndarray
+    body_names: tuple[str, ...]
+    joint_qpos: np.ndarray
+    joint_dof: np.ndarray
+    actuators: np.ndarray
+    base_qpos: slice
+    base_dof: slice
+    board_qpos: slice
+    robot_body: int
+    trunk_body: int
+    robot_bodies: np.ndarray
+    board_body: int
+    truck_joints: np.ndarray
+    touched_geoms: np.ndarray
+    weld: int
+    floor_mocap: int
+    joint_range: np.ndarray
+
+    @classmethod
+    def of(cls, scene: Scene, model: mujoco.MjModel) -> SceneIndex:
+        """Index a compiled scene.
+
+        Args:
+            scene: The scene.
+            model: Its compiled model.
+        """
+
+        def sensor(prefix: str, count: int = 0) -> tuple[slice, tuple[int, ...]]:
+            if not count:
+                s = model.sensor(prefix)
+                return slice(s.adr[0], s.adr[0] + s.dim[0]), (int(s.dim[0]),)
+            parts = [model.sensor(f"{prefix}_{i}") for i in range(count)]
+            start, dim = int(parts[0].adr[0]), int(parts[0].dim[0])
+            # Sensors of one field are added one after the other, so a field is one slice.
+            assert [int(p.adr[0]) for p in parts] == [start + i * dim for i in range(count)]
+            return slice(start, start + count * dim), (count,) if dim == 1 else (count, dim)
+
+        sensors = {n: sensor(n) for n in ("base_pos", "base_quat", "base_lin_vel", "base_ang_vel")}
+        sensors |= {n: sensor(n) for n in ("board_pos", "board_quat", "board_lin_vel", "board_ang_vel")}
+        sensors |= {n: sensor(n, 12) for n in ("joint_pos", "joint_vel", "joint_torque")}
+        feet = ("foot_pos", "foot_vel", "foot_pos_board", "foot_vel_board", "foot_deck_force", "foot_force")
+        sensors |= {n: sensor(n, 4) for n in feet}
+        sensors |= {"truck_angle": sensor("truck_angle", 2), "wheel_speed": sensor("wheel_speed", 4)}
+        bodies = [
+            (b, name, i)
+            for b, (name, geoms) in enumerate(scene.robot.body_geoms.items())
+            for i in range(len(geoms))
+        ]
+        first = model.sensor(f"body_force_{bodies[0][1]}_{bodies[0][2]}")
+        start = int(first.adr[0])
+        sensors["body_force"] = (slice(start, start + 3 * len(bodies)), (len(bodies), 3))
+
+        joints = [model.joint(j.full_identifier) for j in scene.robot.joints]
+        robot_joint = model.joint(scene.robot_frame.freejoint.full_identifier)
+        board_joint = model.joint(scene.board_frame.freejoint.full_identifier)
+        rq, rd, bq = (int(robot_joint.qposadr[0]), int(robot_joint.dofadr[0]), int(board_joint.qposadr[0]))
+        floor = model.body(scene.arena.robot_floor.full_identifier)
+        touched = [*scene.robot.foot_geoms, scene.board.deck_geom, scene.arena.robot_ground]
+        touched += [geom for geoms in scene.robot.body_geoms.values() for geom in geoms]
+        robot_body = int(model.jnt_bodyid[robot_joint.id])
+        robot_bodies = np.flatnonzero(model.body_rootid == robot_body)
+        return cls(
+            sensors=sensors,
+            bodies=np.array([b for b, _, _ in bodies]),
+            body_names=tuple(scene.robot.body_geoms),
+            joint_qpos=np.array([j.qposadr[0] for j in joints]),
+            joint_dof=np.array([j.dofadr[0] for j in joints]),
+            actuators=np.array([model.actuator(a.full_identifier).id for a in scene.robot.actuators]),
+            base_qpos=slice(rq, rq + 7),
+            base_dof=slice(rd, rd + 6),
+            board_qpos=slice(bq, bq + 7),
+            robot_body=robot_body,
+            trunk_body=int(model.body(scene.robot.trunk.full_identifier).id),
+            robot_bodies=robot_bodies[robot_bodies != robot_body],
+            board_body=int(model.jnt_bodyid[board_joint.id]),
+            truck_joints=np.array([model.joint(j.full_identifier).id for j in scene.board.truck_joints]),
+            touched_geoms=np.array([model.geom(g.full_identifier).id for g in touched]),
+            weld=int(model.equality(scene.weld.full_identifier).id),
+            floor_mocap=int(floor.mocapid[0]),
+            joint_range=np.stack([j.range for j in joints]),
+        )
+

@@ -1,0 +1,197 @@
+"""What a reward, an observation or a termination may look at: `SimState` and `EpisodeState`.
+
+Both are batches of N worlds. Joints and feet are in the order FR, FL, RR, RL x hip, thigh, calf; the board's frame has
+its origin at the centre of the deck's top surface.
+"""
+
+from __future__ import annotations
+
+import torch
+from tensordict import tensorclass
+from torch import Tensor
+
+from skatemount.envs.geometry import quat_to_matrix, rotate_inverse
+from skatemount.envs.scene import SceneIndex
+
+
+@tensorclass
+class SimState:
+    """The physical state of N worlds after a control step, float32.
+
+    Positions and velocities describe the state after the step; forces, torques and accelerations are those of its last
+    physics step, and right after a reset those of the start state. The tensors are the state's own: an engine never
+    hands out its buffers.
+
+    Attributes:
+        base_pos: ``[N, 3]`` trunk centre, world, m.
+        base_rot: ``[N, 3, 3]`` trunk axes in the world (columns).
+        base_lin_vel: ``[N, 3]`` trunk frame, m/s.
+        base_ang_vel: ``[N, 3]`` trunk frame, rad/s.
+        gravity: ``[N, 3]`` direction of gravity in the trunk frame, unit length; upright is (0, 0, -1).
+        joint_pos: ``[N, 12]`` rad.
+        joint_vel: ``[N, 12]`` rad/s.
+        joint_acc: ``[N, 12]`` rad/s^2.
+        joint_torque: ``[N, 12]`` N m, as applied after the motor's limits.
+        foot_pos: ``[N, 4, 3]`` foot centres, world, m.
+        foot_vel: ``[N, 4, 3]`` world, m/s.
+        foot_pos_base: ``[N, 4, 3]`` foot centres in the trunk frame, m.
+        foot_pos_board: ``[N, 4, 3]`` foot centres in the board frame, m.
+        foot_vel_board: ``[N, 4, 3]`` relative to the board, board frame, m/s.
+        foot_deck_force: ``[N, 4, 3]`` contact force between foot and deck, world axes, N.
+        foot_other_force: ``[N, 4, 3]`` contact force between foot and anything that is not the deck (ground, wheels), N.
+        body_force: ``[N, 13]`` size of the contact force on each other robot body (trunk; hip, thigh, calf a leg), N.
+        board_pos: ``[N, 3]`` deck centre, world, m.
+        board_rot: ``[N, 3, 3]`` board axes in the world (columns).
+        board_lin_vel: ``[N, 3]`` world, m/s.
+        board_ang_vel: ``[N, 3]`` world, rad/s.
+        board_pos_base: ``[N, 3]`` deck centre in the trunk frame, m.
+        board_rot_base: ``[N, 3, 3]`` board axes in the trunk frame (columns).
+        truck_angle: ``[N, 2]`` front and rear truck about their axes, rad.
+        wheel_speed: ``[N, 4]`` rad/s.
+        ground_height: ``[N]`` height of the robot's floor, m; the board's own floor is at 0.
+        board_fixed: ``[N]`` bool, whether the deck is welded to the world.
+    """
+
+    base_pos: Tensor
+    base_rot: Tensor
+    base_lin_vel: Tensor
+    base_ang_vel: Tensor
+    gravity: Tensor
+    joint_pos: Tensor
+    joint_vel: Tensor
+    joint_acc: Tensor
+    joint_torque: Tensor
+    foot_pos: Tensor
+    foot_vel: Tensor
+    foot_pos_base: Tensor
+    foot_pos_board: Tensor
+    foot_vel_board: Tensor
+    foot_deck_force: Tensor
+    foot_other_force: Tensor
+    body_force: Tensor
+    board_pos: Tensor
+    board_rot: Tensor
+    board_lin_vel: Tensor
+    board_ang_vel: Tensor
+    board_pos_base: Tensor
+    board_rot_base: Tensor
+    truck_angle: Tensor
+    wheel_speed: Tensor
+    ground_height: Tensor
+    board_fixed: Tensor
+
+
+class StateReader:
+    """Turns an engine's sensor array into a `SimState`.
+
+    Args:
+        index: Where the scene's sensors put what.
+    """
+
+    def __init__(self, index: SceneIndex):
+        self._sensors = index.sensors
+        self._bodies = torch.as_tensor(index.bodies)
+        self._num_bodies = len(index.body_names)
+
+    def read(self, sensordata: Tensor, joint_acc: Tensor, ground_height: Tensor, board_fixed: Tensor) -> SimState:
+        """Assemble the state.
+
+        Args:
+            sensordata: ``[N, S]`` float32, owned by the caller no longer: the state keeps views of it.
+            joint_acc: ``[N, 12]``, likewise.
+            ground_height: ``[N]``, likewise.
+            board_fixed: ``[N]`` bool, likewise.
+        """
+        n = sensordata.shape[0]
+        parts = {
+            name: sensordata[:, where].unflatten(1, shape) if len(shape) > 1 else sensordata[:, where]
+            for name, (where, shape) in self._sensors.items()
+        }
+        base_rot = quat_to_matrix(parts.pop("base_quat"))
+        board_rot = quat_to_matrix(parts.pop("board_quat"))
+        base_pos, board_pos, foot_deck = parts["base_pos"], parts["board_pos"], parts["foot_deck_force"]
+        contact = torch.linalg.vector_norm(parts.pop("body_force"), dim=-1)
+        body_force = contact
+        if contact.shape[1] != self._num_bodies:
+            body_force = contact.new_zeros(n, self._num_bodies).index_add_(1, self._bodies, contact)
+        return SimState(
+            base_rot=base_rot,
+            gravity=-base_rot[:, 2],
+            joint_acc=joint_acc,
+            foot_pos_base=rotate_inverse(base_rot, parts["foot_pos"] - base_pos.unsqueeze(1)),
+            foot_other_force=parts.pop("foot_force") - foot_deck,
+            body_force=body_force,
+            board_rot=board_rot,
+            board_pos_base=rotate_inverse(base_rot, board_pos - base_pos),
+            board_rot_base=base_rot.transpose(-1, -2) @ board_rot,
+            ground_height=ground_height,
+            board_fixed=board_fixed,
+            **parts,
+            batch_size=[n],
+        )
+
+
+@tensorclass
+class EpisodeState:
+    """What a physical state cannot tell: the history of each world's episode.
+
+    Attributes:
+        step: ``[N]`` int64, control steps since the start.
+        action: ``[N, 12]`` the action of the last step, clipped.
+        previous_action: ``[N, 12]`` the one before it.
+        command: ``[N, 3]`` velocity command: forward, left (m/s) and turn left (rad/s), trunk frame.
+        command_steps: ``[N]`` int64, control steps until a sampled command is drawn anew.
+        on_deck: ``[N, 4]`` bool, foot presses on the deck now.
+        off_time: ``[N, 4]`` seconds since the foot last pressed on the deck.
+        touchdown: ``[N, 4]`` bool, the foot began to touch anything in this step.
+        touching: ``[N, 4]`` bool, the foot touches anything now.
+        mounted: ``[N]`` bool, the robot stands on the board (see `skatemount.envs.success`).
+        mounted_time: ``[N]`` seconds that it has stood there without a break.
+        first_contact: ``[N]`` seconds from the start to the first foot-deck contact; infinite before it.
+        distance: ``[N]`` horizontal distance from the trunk to the deck's centre, m.
+        previous_distance: ``[N]`` the same one step ago.
+        terminated: ``[N]`` bool, a termination ended the episode in this step.
+        start: ``[N, 3]`` x, y and yaw of the trunk in the board's frame at the start, m and rad.
+    """
+
+    step: Tensor
+    action: Tensor
+    previous_action: Tensor
+    command: Tensor
+    command_steps: Tensor
+    on_deck: Tensor
+    off_time: Tensor
+    touchdown: Tensor
+    touching: Tensor
+    mounted: Tensor
+    mounted_time: Tensor
+    first_contact: Tensor
+    distance: Tensor
+    previous_distance: Tensor
+    terminated: Tensor
+    start: Tensor
+
+    @classmethod
+    def zeros(cls, num_worlds: int) -> EpisodeState:
+        """Episodes of ``num_worlds`` worlds that are about to begin."""
+        n = num_worlds
+        f = torch.zeros
+        return cls(
+            step=f(n, dtype=torch.int64),
+            action=f(n, 12),
+            previous_action=f(n, 12),
+            command=f(n, 3),
+            command_steps=f(n, dtype=torch.int64),
+            on_deck=f(n, 4, dtype=torch.bool),
+            off_time=torch.full((n, 4), torch.inf),
+            touchdown=f(n, 4, dtype=torch.bool),
+            touching=f(n, 4, dtype=torch.bool),
+            mounted=f(n, dtype=torch.bool),
+            mounted_time=f(n),
+            first_contact=torch.full((n,), torch.inf),
+            distance=f(n),
+            previous_distance=f(n),
+            terminated=f(n, dtype=torch.bool),
+            start=f(n, 3),
+            batch_size=[n],
+        )

@@ -1,0 +1,86 @@
+"""What happened in the episodes that ended: sums kept on the device, read once an iteration."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from skatemount.envs import success
+from skatemount.envs.mdp import Mdp, Outcome
+from skatemount.envs.state import EpisodeState
+
+
+class EpisodeStatistics:
+    """Means over the episodes that ended since the last `pop`, under the field's metric names.
+
+    Args:
+        mdp: The task's mathematics, for the names of its terms.
+        num_worlds: Number of worlds.
+    """
+
+    def __init__(self, mdp: Mdp, num_worlds: int):
+        self._step = mdp.context.control_step
+        self._seconds = mdp.context.episode_steps * self._step
+        self._rewards, self._ends = mdp.rewards.names, mdp.end_names()
+        self._n = num_worlds
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything, the running episodes' returns included."""
+        self._returns = torch.zeros(len(self._rewards), self._n)
+        self._feet = torch.zeros(self._n)
+        self._forget()
+
+    def _forget(self) -> None:
+        self._episodes = self._successes = self._length = self._feet_sum = self._mount_time = 0.0
+        self._shares: Tensor | float = 0.0
+        self._end_counts: Tensor | float = 0.0
+        self._time_outs = 0.0
+
+    def add(self, episode: EpisodeState, outcome: Outcome, done: Tensor, succeeded: Tensor) -> None:
+        """Account for a step.
+
+        Args:
+            episode: The episodes after the step.
+            outcome: What it led to.
+            done: ``[N]`` bool, episodes that ended.
+            succeeded: ``[N]`` bool, those that succeeded.
+        """
+        self._returns += outcome.shares
+        self._feet += episode.on_deck.sum(-1)
+        if not done.any():
+            return
+        ended = done.to(torch.float32)
+        self._episodes += float(ended.sum())
+        self._successes += float(succeeded.sum())
+        self._length += float((episode.step * done).sum())
+        self._feet_sum += float((self._feet * ended / episode.step.clamp(min=1)).sum())
+        times = success.time_to_mount(episode, self._step)
+        self._mount_time += float(torch.where(succeeded, times, 0.0).sum())
+        self._shares = self._shares + self._returns @ ended
+        self._end_counts = self._end_counts + (outcome.ends & done).sum(1)
+        self._time_outs += float(outcome.truncated.sum())
+        self._returns[:, done] = 0.0
+        self._feet[done] = 0.0
+
+    def pop(self) -> dict[str, float]:
+        """Means since the last call; nothing if no episode ended."""
+        n = self._episodes
+        if not n:
+            return {}
+        shares = self._shares / n
+        metrics = {
+            "Train/mean_reward": float(shares.sum()),
+            "Train/mean_episode_length": self._length / n,
+            "Success/rate": self._successes / n,
+            "Success/feet_on_board": self._feet_sum / n,
+        }
+        if self._successes:
+            metrics["Success/time_to_mount"] = self._mount_time / self._successes
+        for name, value in zip(self._rewards, shares.tolist()):
+            metrics[f"Episode_Reward/{name}"] = value / self._seconds
+        for name, value in zip(self._ends, (self._end_counts / n).tolist()):
+            metrics[f"Episode_Termination/{name}"] = value
+        metrics["Episode_Termination/time_out"] = self._time_outs / n
+        self._forget()
+        return metrics

@@ -1,0 +1,82 @@
+"""What counts as standing on the board: MountBench's definition, used by rewards, training and evaluation alike."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from skatemount.envs.state import EpisodeState, SimState
+
+PRESS = 1.0
+"""Contact force that counts as a contact, N."""
+FLICKER = 0.1
+"""How long a foot's contact with the deck may be interrupted, s."""
+HOLD = 1.0
+"""How long the robot must have stood on the board at the end of an episode, s."""
+MAX_TRUNK_TILT = math.radians(45)
+MAX_DECK_TILT = math.radians(30)
+
+
+def feet_on_deck(sim: SimState) -> Tensor:
+    """Which feet press on the deck from above, ``[N, 4]`` bool.
+
+    The contact force with the deck exceeds 1 N and the foot's centre is above the deck's plane.
+    """
+    force = torch.linalg.vector_norm(sim.foot_deck_force, dim=-1)
+    return (force > PRESS) & (sim.foot_pos_board[..., 2] > 0.0)
+
+
+def feet_elsewhere(sim: SimState) -> Tensor:
+    """Which feet press on anything that is not the deck, ``[N, 4]`` bool."""
+    return torch.linalg.vector_norm(sim.foot_other_force, dim=-1) > PRESS
+
+
+def body_contacts(sim: SimState) -> Tensor:
+    """Which other parts of the robot touch board or ground, ``[N, 13]`` bool."""
+    return sim.body_force > PRESS
+
+
+def deck_level(sim: SimState) -> Tensor:
+    """Cosine of the angle between the deck's normal and the vertical, ``[N]``."""
+    return sim.board_rot[:, 2, 2]
+
+
+def is_mounted(sim: SimState, off_time: Tensor) -> Tensor:
+    """Whether the robot stands on the board now, ``[N]`` bool.
+
+    All four feet on the deck (each interrupted for at most 0.1 s), no foot on anything else, no other part of the robot in
+    contact, trunk within 45 degrees of upright, deck within 30 degrees of level.
+
+    Args:
+        sim: The state.
+        off_time: ``[N, 4]`` seconds since each foot last pressed on the deck.
+    """
+    # A millisecond forgives float32's rounding of a sum of control steps.
+    feet = (off_time <= FLICKER + 1e-3).all(-1) & ~feet_elsewhere(sim).any(-1)
+    clean = ~body_contacts(sim).any(-1)
+    level = (-sim.gravity[:, 2] > math.cos(MAX_TRUNK_TILT)) & (deck_level(sim) > math.cos(MAX_DECK_TILT))
+    return feet & clean & level
+
+
+def succeeded(episode: EpisodeState, ended_early: Tensor, control_step: float) -> Tensor:
+    """Whether episodes that end now are successes, ``[N]`` bool.
+
+    An episode succeeds when the robot was mounted throughout its last second and nothing ended it early.
+
+    Args:
+        episode: The episodes, at their last step.
+        ended_early: ``[N]`` bool, ended by anything but the time limit.
+        control_step: Seconds.
+    """
+    return (episode.mounted_time >= HOLD - control_step / 2) & ~ended_early
+
+
+def time_to_mount(episode: EpisodeState, control_step: float) -> Tensor:
+    """Seconds from the first foot-deck contact to the start of the present mounted stretch, ``[N]``.
+
+    Only meaningful for an episode that has succeeded.
+    """
+    elapsed = episode.step * control_step
+    return (elapsed - episode.mounted_time - episode.first_contact).clamp(min=0.0)

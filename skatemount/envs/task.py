@@ -1,0 +1,193 @@
+"""`MountTask`: the task as a dm_control composer task, the reference that the batched environment is built from."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any
+
+import dm_env.specs
+import mujoco
+import numpy as np
+import torch
+from dm_control import composer
+from dm_control.composer.observation import observable
+from torch import Tensor
+
+from skatemount.envs.legs import Legs
+from skatemount.envs.mdp import Mdp, Outcome
+from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.randomization import Randomizer
+from skatemount.envs.scene import Scene, SceneIndex
+from skatemount.envs.settings import TaskConfig
+from skatemount.envs.starts import StartSampler
+from skatemount.envs.state import EpisodeState, SimState, StateReader
+
+
+class MountTask(composer.Task):
+    """A quadruped mounts a skateboard.
+
+    In `composer.Environment` it is one world for any dm_env agent and for dm_control's viewer; given to
+    `skatemount.envs.MountEnv` it is a batch of worlds for TorchRL. Both call the same functions.
+
+        task = MountTask(stage="unfixed")
+        env = composer.Environment(task, recompile_mjcf_every_episode=False)
+
+    Args:
+        stage: Name of a stage of the configuration; `skatemount.config.stages` lists them.
+        overrides: Further settings in Hydra's syntax, such as ``["board=longboard", "reward.mounted.weight=5"]``.
+        config: A complete configuration instead of the two.
+
+    Raises:
+        ConfigError: An unknown stage, setting or value.
+    """
+
+    def __init__(
+        self, stage: str | None = None, overrides: Sequence[str] = (), config: TaskConfig | None = None
+    ):
+        if config is None:
+            # Only here: composing a configuration needs Hydra, which a task built from Python does not.
+            from skatemount.config import compose_task
+
+            config = compose_task(stage, overrides)
+        config.validate()
+        self.config = config
+        self.scene = Scene(config.robot, config.board, config.physics)
+        self._generator = torch.Generator().manual_seed(0)
+        self._mdp = self.make_mdp(self._generator)
+        self._sampler = self.make_sampler()
+        self._episode = EpisodeState.zeros(1)
+        self._outcome: Outcome | None = None
+        self._observed: tuple[Tensor, Tensor] | None = None
+        self.set_timesteps(self.scene.solver.control_step, self.scene.solver.timestep)
+        self._observables = {
+            "observation": observable.Generic(lambda physics: self._look(physics)[0][0].numpy()),
+            "privileged": observable.Generic(lambda physics: self._look(physics)[1][0].numpy()),
+        }
+        for each in self._observables.values():
+            each.enabled = True
+
+    def make_mdp(self, generator: torch.Generator) -> Mdp:
+        """The task's mathematics with a source of randomness of its own."""
+        return Mdp(self.config, self.scene, generator)
+
+    def make_sampler(self) -> StartSampler:
+        """The source of start states."""
+        return StartSampler(self.config.start, Legs(self.scene.robot.kinematics), self._mdp.context)
+
+    @property
+    def root_entity(self) -> composer.Arena:
+        """The arena with robot and board in it."""
+        return self.scene.arena
+
+    @property
+    def task_observables(self) -> dict[str, observable.Observable]:
+        """``observation``, what the policy sees, and ``privileged``, what only the critic sees besides."""
+        return self._observables
+
+    @property
+    def episode(self) -> EpisodeState:
+        """The present episode, a batch of one."""
+        return self._episode
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """What the last step led to, a batch of one; none before the first step of an episode."""
+        return self._outcome
+
+    def action_spec(self, physics: Any) -> dm_env.specs.BoundedArray:
+        """12 joint position targets, relative to the default pose and in units of the action scale."""
+        bound = self.scene.robot.config.action_clip
+        return dm_env.specs.BoundedArray((12,), np.float32, -bound, bound, name="action")
+
+    def after_compile(self, physics: Any, random_state: np.random.RandomState) -> None:
+        """Note where the compiled scene keeps what, and its nominal values."""
+        self._index = SceneIndex.of(self.scene, physics.model.ptr)
+        self._nominal = copy.copy(physics.model.ptr)
+        self._observed = None
+
+    def initialize_episode(self, physics: Any, random_state: np.random.RandomState) -> None:
+        """Draw a start state, and the randomised physics, and put the world into it."""
+        self._generator.manual_seed(int(random_state.randint(2**31)))
+        world = _SingleWorld(physics)
+        randomizer = Randomizer(self.config.randomization, self._index, self._nominal, self._generator)
+        randomizer.build_worlds(world)
+        randomizer.new_episodes(world, torch.ones(1, dtype=torch.bool))
+        self.start(physics, self._sampler.draw(1, self._generator))
+
+    def start(self, physics: Any, start: WorldStart) -> None:
+        """Put the world into a start state and begin an episode there.
+
+        Args:
+            physics: The compiled scene.
+            start: One start.
+        """
+        index, data = self._index, physics.data
+        data.qpos[index.base_qpos] = torch.cat((start.base_pos[0], start.base_quat[0]))
+        data.qpos[index.joint_qpos] = start.joint_pos[0]
+        data.qvel[index.base_dof] = torch.cat((start.base_lin_vel[0], start.base_ang_vel[0]))
+        data.qvel[index.joint_dof] = start.joint_vel[0]
+        data.ctrl[index.actuators] = start.joint_pos[0]
+        data.xfrc_applied[index.robot_body] = torch.cat((start.force[0], start.torque[0]))
+        data.eq_active[index.weld] = bool(start.board_fixed[0])
+        data.mocap_pos[index.floor_mocap, 2] = float(start.ground_height[0])
+        physics.forward()
+        every = torch.ones(1, dtype=torch.bool)
+        self._episode = self._mdp.begin(self._state(physics), EpisodeState.zeros(1), every)
+        self._outcome = self._observed = None
+
+    def before_step(self, physics: Any, action: np.ndarray, random_state: np.random.RandomState) -> None:
+        """Turn the action into joint position targets."""
+        self._action = torch.as_tensor(np.asarray(action), dtype=torch.float32).reshape(1, 12)
+        physics.data.ctrl[self._index.actuators] = self._mdp.targets(self._action)[0]
+
+    def before_substep(self, physics: Any, action: np.ndarray, random_state: np.random.RandomState) -> None:
+        """Nothing: the targets hold for the whole control step."""
+
+    def after_step(self, physics: Any, random_state: np.random.RandomState) -> None:
+        """Account for the step."""
+        diverged = torch.tensor([not np.isfinite(physics.data.qpos).all()])
+        self._outcome = self._mdp.advance(self._state(physics), self._episode, self._action, diverged)
+        self._observed = None
+
+    def get_reward(self, physics: Any) -> float:
+        """The reward of the last step."""
+        return float(self._outcome.reward[0])
+
+    def should_terminate_episode(self, physics: Any) -> bool:
+        """Whether the last step ended the episode, by a termination or by the time limit."""
+        return bool(self._outcome.terminated[0] | self._outcome.truncated[0])
+
+    def get_discount(self, physics: Any) -> float:
+        """0 after a termination, 1 otherwise (a time limit is no end of the task)."""
+        return 0.0 if self._outcome.terminated[0] else 1.0
+
+    def _look(self, physics: Any) -> tuple[Tensor, Tensor]:
+        # Both observables come from one look: the noise is drawn once.
+        if self._observed is None:
+            self._observed = self._mdp.observe(self._state(physics), self._episode)
+        return self._observed
+
+    def _state(self, physics: Any) -> SimState:
+        index, data = self._index, physics.data
+        return StateReader(index).read(
+            torch.tensor(np.array(data.sensordata), dtype=torch.float32).unsqueeze(0),
+            torch.tensor(np.array(data.qacc[index.joint_dof]), dtype=torch.float32).unsqueeze(0),
+            torch.tensor([data.mocap_pos[index.floor_mocap, 2]], dtype=torch.float32),
+            torch.tensor([bool(data.eq_active[index.weld])]),
+        )
+
+
+class _SingleWorld:
+    """The model fields of composer's one world, as a batch of one."""
+
+    def __init__(self, physics: Any):
+        self._model, self._data = physics.model.ptr, physics.data.ptr
+
+    def field(self, name: str) -> Tensor:
+        """A live ``[1, ...]`` view."""
+        return torch.from_numpy(getattr(self._model, name)).unsqueeze(0)
+
+    def refresh_constants(self) -> None:
+        """Recompute what the model derives from masses and inertias."""
+        mujoco.mj_setConst(self._model, self._data)

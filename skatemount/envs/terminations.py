@@ -1,0 +1,83 @@
+"""What ends an episode before its time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from skatemount.envs import success
+from skatemount.envs.state import EpisodeState, SimState
+from skatemount.envs.terms import Registry, TaskContext
+
+
+@dataclass
+class TerminationTerm:
+    """One row of the termination table.
+
+    Attributes:
+        enabled: Whether it counts.
+        params: Parameters of the term's function.
+    """
+
+    enabled: bool = True
+    params: dict[str, Any] = field(default_factory=dict)
+
+
+TERMINATIONS = Registry("termination")
+
+
+def _termination(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    return TERMINATIONS.register()(function)
+
+
+@_termination
+def trunk_contact(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
+    """The trunk touches anything with more than 1 N (paper's code)."""
+    return sim.body_force[:, 0] > success.PRESS
+
+
+@_termination
+def tilt(sim: SimState, episode: EpisodeState, context: TaskContext, degrees: float = 66.0) -> Tensor:
+    """The trunk is tilted by more than this from upright (ours)."""
+    return -sim.gravity[:, 2] < math.cos(math.radians(degrees))
+
+
+@_termination
+def board_tilt(sim: SimState, episode: EpisodeState, context: TaskContext, degrees: float = 53.0) -> Tensor:
+    """The deck is tilted by more than this from level (ours); 90 is the paper's flip."""
+    return success.deck_level(sim) < math.cos(math.radians(degrees))
+
+
+@_termination
+def out_of_reach(sim: SimState, episode: EpisodeState, context: TaskContext, metres: float = 2.2) -> Tensor:
+    """The trunk is farther than this from the deck's centre in the plane (ours)."""
+    return episode.distance > metres
+
+
+class TerminationTable:
+    """Termination terms; an episode ends early when any of them is true.
+
+    Args:
+        terms: The table.
+        context: Constants of the task.
+
+    Attributes:
+        names: Terms in order.
+    """
+
+    def __init__(self, terms: dict[str, TerminationTerm], context: TaskContext):
+        self._context = context
+        bound = {name: TERMINATIONS.bind(name, term.params) for name, term in terms.items()}
+        self.names = [name for name, term in terms.items() if term.enabled]
+        self._functions = [bound[name] for name in self.names]
+
+    def __call__(self, sim: SimState, episode: EpisodeState) -> Tensor:
+        """Which terminations are true, ``[terms, N]`` bool."""
+        if not self._functions:
+            return torch.zeros(0, sim.base_pos.shape[0], dtype=torch.bool)
+        return torch.stack([f(sim, episode, self._context) for f in self._functions])

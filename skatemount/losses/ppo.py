@@ -1,0 +1,244 @@
+"""PPO: TorchRL's `ClipPPOLoss` and `GAE`, with exact bootstrap at time-outs and a learning rate that follows the KL."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR
+from torchrl.objectives.value import GAE
+
+from skatemount.errors import ConfigError
+from skatemount.losses.symmetry import Symmetry
+from skatemount.models import ActorCritic
+
+SYMMETRIES = ("none", "augment")
+
+
+@dataclass
+class AlgorithmConfig:
+    """Hyper-parameters of PPO.
+
+    Attributes:
+        epochs: Passes over a batch.
+        minibatches: Parts of a batch; one update each.
+        learning_rate: At the start.
+        min_learning_rate: Lowest that the KL may push it to.
+        max_learning_rate: Highest.
+        target_kl: KL divergence per iteration that the learning rate aims at; null keeps the learning rate.
+        clip: Of the probability ratio.
+        clip_value: Clip the value loss by the same amount.
+        value_coeff: Weight of the value loss.
+        entropy_coeff: Weight of the entropy bonus.
+        horizon: Seconds over which rewards are discounted: gamma = exp(-control step / horizon).
+        trace: Seconds over which GAE looks ahead: lambda = exp(-control step / trace).
+        max_grad_norm: Largest norm of the gradient.
+        symmetry: ``none``, or ``augment``: learn from the mirror image of every step as well.
+    """
+
+    epochs: int = 5
+    minibatches: int = 4
+    learning_rate: float = 1e-3
+    min_learning_rate: float = 1e-5
+    max_learning_rate: float = 1e-2
+    target_kl: float | None = 0.01
+    clip: float = 0.2
+    clip_value: bool = True
+    value_coeff: float = 1.0
+    entropy_coeff: float = 0.01
+    horizon: float = 2.0
+    trace: float = 0.4
+    max_grad_norm: float = 1.0
+    symmetry: str = "none"
+
+    def validate(self, where: str = "algorithm") -> None:
+        """Raise `ConfigError` for values that cannot be used."""
+        for name in ("epochs", "minibatches"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
+        positive = ("learning_rate", "min_learning_rate", "max_learning_rate", "clip", "horizon", "trace")
+        for name in (*positive, "max_grad_norm", "target_kl"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise ConfigError(f"{where}.{name}={value} must be above 0")
+        for name in ("value_coeff", "entropy_coeff"):
+            if not getattr(self, name) >= 0:
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be 0 or more")
+        if self.symmetry not in SYMMETRIES:
+            raise ConfigError(f"{where}.symmetry={self.symmetry} must be one of {', '.join(SYMMETRIES)}")
+
+
+class PPO:
+    """Updates an `ActorCritic` from batches of experience.
+
+    Args:
+        config: Hyper-parameters.
+        networks: Actor and critic.
+        control_step: Seconds between two actions.
+        symmetry: Mirror images, if the algorithm learns from them.
+        bf16: Compute the updates' matrix products in bfloat16.
+        generator: Source of the minibatches' order.
+    """
+
+    def __init__(
+        self,
+        config: AlgorithmConfig,
+        networks: ActorCritic,
+        control_step: float,
+        symmetry: Symmetry | None = None,
+        bf16: bool = False,
+        generator: torch.Generator | None = None,
+    ):
+        self.config = config
+        self.networks = networks
+        self._symmetry = symmetry if config.symmetry == "augment" else None
+        self._bf16 = bf16
+        self._generator = generator
+        self.loss = ClipPPOLoss(
+            networks.actor,
+            networks.critic,
+            clip_epsilon=config.clip,
+            entropy_bonus=config.entropy_coeff > 0,
+            entropy_coeff=config.entropy_coeff,
+            critic_coeff=config.value_coeff,
+            loss_critic_type="l2",
+            clip_value=config.clip if config.clip_value else None,
+            normalize_advantage=False,
+            log_explained_variance=False,
+            # The networks are trained in place, so that what collects always has the newest weights.
+            functional=False,
+        )
+        gamma, lmbda = math.exp(-control_step / config.horizon), math.exp(-control_step / config.trace)
+        self._gae = GAE(gamma=gamma, lmbda=lmbda, value_network=None)
+        self._parameters = [p for p in networks.parameters() if p.requires_grad]
+        self.optimizer = torch.optim.Adam(self._parameters, lr=config.learning_rate, fused=True)
+        self._schedule = None
+        if config.target_kl is not None:
+            self._schedule = KLAdaptiveLR(
+                self.optimizer,
+                target_kl=config.target_kl,
+                min_lr=config.min_learning_rate,
+                max_lr=config.max_learning_rate,
+            )
+        self._keys = {*networks.actor_keys, *networks.critic_keys} | {
+            "action",
+            "action_log_prob",
+            "advantage",
+            "value_target",
+            "state_value",
+        }
+
+    @property
+    def learning_rate(self) -> float:
+        """The present learning rate."""
+        return float(self.optimizer.param_groups[0]["lr"])
+
+    def update(self, batch: TensorDictBase) -> dict[str, float]:
+        """Learn from a batch.
+
+        Args:
+            batch: ``[N, T]`` as a TorchRL collector yields it.
+
+        Returns:
+            ``Loss/*`` and ``Policy/mean_std``.
+
+        Raises:
+            FloatingPointError: The loss or the gradient is not finite; the weights are as before that minibatch.
+        """
+        self.networks.observe(batch)
+        with self._autocast():
+            self._fill_values(batch)
+        self._gae(batch)
+        advantage = batch["advantage"]
+        batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        flat = batch.select(*self._keys).flatten(0, 1)
+        with torch.no_grad(), self._autocast():
+            before = self.networks.distribution(flat)
+            loc, scale = before.base_dist.loc.float().clone(), before.base_dist.scale.float().clone()
+
+        sums: dict[str, Tensor] = {}
+        kl, updates = 0.0, 0
+        for _ in range(self.config.epochs):
+            order = torch.randperm(flat.shape[0], generator=self._generator)
+            for rows in order.chunk(self.config.minibatches):
+                part = flat[rows]
+                losses, step_kl = self._step(part, loc[rows], scale[rows])
+                kl += step_kl
+                updates += 1
+                if self._schedule is not None:
+                    self._schedule.step(step_kl)
+                for name, value in losses.items():
+                    sums[name] = sums.get(name, 0.0) + value
+        return {
+            "Loss/surrogate": float(sums["loss_objective"]) / updates,
+            "Loss/value_function": float(sums["loss_critic"]) / updates,
+            "Loss/entropy": float(sums.get("entropy", torch.zeros(()))) / updates,
+            "Loss/clip_fraction": float(sums["clip_fraction"]) / updates,
+            "Loss/kl": kl / updates,
+            "Loss/learning_rate": self.learning_rate,
+            "Policy/mean_std": float(scale.mean()),
+        }
+
+    def _step(self, part: TensorDictBase, loc: Tensor, scale: Tensor) -> tuple[dict[str, Tensor], float]:
+        kl = self._divergence(part, loc, scale)
+        if self._symmetry is not None:
+            part = self._symmetry.augment(part)
+        with self._autocast():
+            losses = self.loss(part)
+        total = sum(value for name, value in losses.items() if name.startswith("loss_"))
+        self.optimizer.zero_grad(set_to_none=True)
+        total.backward()
+        norm = nn.utils.clip_grad_norm_(self._parameters, self.config.max_grad_norm)
+        if not bool(torch.isfinite(norm) & torch.isfinite(total)):
+            raise FloatingPointError(f"loss {float(total)} or gradient {float(norm)} is not finite")
+        self.optimizer.step()
+        return {name: value.detach() for name, value in losses.items()}, kl
+
+    @torch.no_grad()
+    def _divergence(self, part: TensorDictBase, loc: Tensor, scale: Tensor) -> float:
+        """KL of the policy before the iteration from the present one, the closed form for diagonal Gaussians."""
+        with self._autocast():
+            now = self.networks.distribution(part)
+        new_loc, new_scale = now.base_dist.loc.float(), now.base_dist.scale.float()
+        ratio = scale / new_scale
+        kl = -ratio.log() + 0.5 * (ratio.square() + ((loc - new_loc) / new_scale).square() - 1)
+        return float(kl.sum(-1).mean())
+
+    @torch.no_grad()
+    def _fill_values(self, batch: TensorDictBase) -> None:
+        """Value of every state and of what follows it, each computed once.
+
+        What follows a step is the next step's state, but at a time-out and at the end of the batch: there the critic looks at
+        the true next state.
+        """
+        critic, keys = self.networks.critic, self.networks.critic_keys
+        value = critic(batch.select(*keys))["state_value"].float()
+        following = torch.empty_like(value)
+        following[:, :-1] = value[:, 1:]
+        look = batch["next", "done"] & ~batch["next", "terminated"]
+        look[:, -1] = True
+        look = look.squeeze(-1)
+        following[look] = critic(batch["next"].select(*keys)[look])["state_value"].float()
+        batch["state_value"] = value
+        batch["next", "state_value"] = following
+
+    @contextlib.contextmanager
+    def _autocast(self) -> Iterator[None]:
+        if not self._bf16:
+            yield
+            return
+        with torch.autocast(self._parameters[0].device.type, dtype=torch.bfloat16):
+            yield
+
+    def state_dict(self) -> dict[str, object]:
+        """Optimiser and learning rate."""
+        return {"optimizer": self.optimizer.state_dict()}
+
+    def load_state_dict(self, state: dict[str, dict]) -> None:
+        """Restore what `state_dict` returned."""
+        self.optimizer.load_state_dict(state["optimizer"])
