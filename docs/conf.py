@@ -78,8 +78,7 @@ def write_reference(folder: Path) -> None:
     entries = "\n".join(names)
     write_if_changed(
         folder / "index.md",
-        f"# Reference\n\nEvery public module, from its source.\n\n"
-        f"```{{toctree}}\n:maxdepth: 1\n\n{entries}\n```\n",
+        f"# Reference\n\nEvery public module, from its source.\n\n```{{toctree}}\n:maxdepth: 1\n\n{entries}\n```\n",
     )
     for page in folder.glob("*.rst"):
         if page.stem not in names:

@@ -102,8 +102,7 @@ class Card:
         for name, value in document.items():
             if not isinstance(value, kinds[name]) or isinstance(value, bool):
                 raise ConfigError(
-                    f"{where}: field {name!r} is a {type(value).__name__}, "
-                    f"a {kinds[name].__name__} is needed"
+                    f"{where}: field {name!r} is a {type(value).__name__}, a {kinds[name].__name__} is needed"
                 )
         if not all(isinstance(part, dict) for part in document.get("observation", [])):
             raise ConfigError(f"{where}: field 'observation' needs a list of objects")
@@ -131,9 +130,7 @@ def save_policy(path: Path, modules: dict[str, nn.Module], card: Card) -> None:
             raise ConfigError(f"module name {name!r}: a name without dots is needed")
         for key, value in module.state_dict().items():
             if not isinstance(value, Tensor):
-                raise ConfigError(
-                    f"{name}.{key}: a {type(value).__name__}; only tensors are stored in a policy"
-                )
+                raise ConfigError(f"{name}.{key}: a {type(value).__name__}; only tensors are stored in a policy")
             tensors[f"{name}.{key}"] = value
     card.to_json()  # a card that cannot be written must not leave weights without one
     digest = write_tensors(path, tensors)
@@ -170,9 +167,7 @@ def read_card(path: Path) -> Card:
     return Card.from_json(read_bytes(card_path), str(card_path))
 
 
-def save_checkpoint(
-    folder: Path, modules: dict[str, nn.Module], card: Card, training_state: dict[str, Any]
-) -> None:
+def save_checkpoint(folder: Path, modules: dict[str, nn.Module], card: Card, training_state: dict[str, Any]) -> None:
     """Writes a checkpoint folder, whole or not at all.
 
     Args:

@@ -17,8 +17,8 @@ from skatemount.errors import ConfigError
 def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
     """Compose the settings from the command line and run a verb on them; `-m` runs it once a combination.
 
-    A mistake in the settings ends the program with one line and status 2; ``SKATEMOUNT_TRACEBACK=1`` shows where it came
-    from.
+    A mistake in the settings ends the program with one line and status 2; ``SKATEMOUNT_TRACEBACK=1`` shows where it
+    came from.
 
     Args:
         verb: Takes the settings and the overrides that led to them.

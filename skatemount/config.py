@@ -28,13 +28,11 @@ class StageConfig:
         name: Of the stage.
         description: One line.
         init_from: Policy that the stage starts from; nothing if null.
-        success: ``mount`` (standing on the board) or ``gait`` (following the command).
     """
 
     name: str = ""
     description: str = ""
     init_from: str | None = None
-    success: str = "mount"
 
 
 @dataclass
@@ -220,7 +218,21 @@ def one_line(error: BaseException) -> str:
     said: list[str] = []
     for each in chain:
         lines = [line.strip() for line in str(each).splitlines()]
-        kept = [line for line in lines if line and not line.startswith(("reference_type=", "object_type=", "Config search path", "set HYDRA_FULL_ERROR", "provider=", "full_key:"))]
+        kept = [
+            line
+            for line in lines
+            if line
+            and not line.startswith(
+                (
+                    "reference_type=",
+                    "object_type=",
+                    "Config search path",
+                    "set HYDRA_FULL_ERROR",
+                    "provider=",
+                    "full_key:",
+                )
+            )
+        ]
         keys = [line.removeprefix("full_key:").strip() for line in lines if line.startswith("full_key:")]
         text = " ".join(kept)
         if keys and keys[0] not in text:

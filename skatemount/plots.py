@@ -93,9 +93,7 @@ def plot_learning_curves(csv_path: Path, png_path: Path, title: str = "") -> Non
         figure.savefig(temporary, format="png")
 
 
-def _draw(
-    axis: Axes, frames: np.ndarray, values: np.ndarray | None, colour: str, label: str
-) -> bool:
+def _draw(axis: Axes, frames: np.ndarray, values: np.ndarray | None, colour: str, label: str) -> bool:
     """Draws one metric; returns whether there was anything to draw."""
     known = np.zeros(0, bool) if values is None else np.isfinite(values)
     if values is None or not known.any():

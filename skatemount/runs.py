@@ -44,9 +44,7 @@ class RunFolder:
         self._root = root
 
     @classmethod
-    def create(
-        cls, root: Path | str, experiment: str, name: str, config: dict, overrides: list[str]
-    ) -> RunFolder:
+    def create(cls, root: Path | str, experiment: str, name: str, config: dict, overrides: list[str]) -> RunFolder:
         """Makes a new run folder and notes what is run, with which code and on what.
 
         Args:
@@ -64,9 +62,7 @@ class RunFolder:
         """
         for setting, value in (("experiment", experiment), ("name", name)):
             if not _NAME.fullmatch(value):
-                raise ConfigError(
-                    f"{setting}={value!r}: letters, digits and . , = + - _ make a folder name"
-                )
+                raise ConfigError(f"{setting}={value!r}: letters, digits and . , = + - _ make a folder name")
         try:
             config_text = yaml.safe_dump(config, sort_keys=False, allow_unicode=True)
         except yaml.YAMLError as error:
@@ -214,9 +210,7 @@ class RunFolder:
         return folder
 
 
-def find_checkpoint(
-    spec: str, root: Path | str = Path("runs"), setting: str = "checkpoint"
-) -> Path:
+def find_checkpoint(spec: str, root: Path | str = Path("runs"), setting: str = "checkpoint") -> Path:
     """Finds the checkpoint or policy file that a user means.
 
     Args:
@@ -243,8 +237,7 @@ def find_checkpoint(
         run = _newest_run(root)
         if run is None:
             raise ConfigError(
-                f"{setting}={spec!r}: no run in {str(root)!r} has a checkpoint yet; "
-                f"there is {_choices(_pretrained())}"
+                f"{setting}={spec!r}: no run in {str(root)!r} has a checkpoint yet; there is {_choices(_pretrained())}"
             )
         return _of_run(run, spec, f"{setting}={spec!r}")
     for path in (Path(spec), root / spec):
@@ -262,9 +255,7 @@ def find_checkpoint(
         if path.name in POINTERS and _is_run(path.parent):
             return _of_run(path.parent, path.name, f"{setting}={spec!r}")
     names = [str(run) for run in itertools.islice(_runs_with_checkpoints(root), 3)]
-    raise ConfigError(
-        f"{setting}={spec!r}: not found; there is {_choices([*names, *_pretrained()])}"
-    )
+    raise ConfigError(f"{setting}={spec!r}: not found; there is {_choices([*names, *_pretrained()])}")
 
 
 def _of_run(run: Path, which: str, where: str) -> Path:

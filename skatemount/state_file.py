@@ -92,9 +92,7 @@ def write_tensors(path: Path, tensors: dict[str, Tensor]) -> str:
     Returns:
         SHA-256 of the file, in hexadecimal.
     """
-    owned = {
-        name: tensor.detach().to("cpu", copy=True).contiguous() for name, tensor in tensors.items()
-    }
+    owned = {name: tensor.detach().to("cpu", copy=True).contiguous() for name, tensor in tensors.items()}
     data = safetensors.torch.save(owned)
     atomic.write_bytes(path, data)
     return hashlib.sha256(data).hexdigest()
@@ -120,13 +118,10 @@ def read_tensors(path: Path, sha256: str) -> dict[str, Tensor]:
         tensors = safetensors.torch.load(data)
     except (safetensors.SafetensorError, KeyError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
-        raise ConfigError(
-            f"{path}: damaged or not a safetensors file of {len(data)} bytes ({reason})"
-        ) from error
+        raise ConfigError(f"{path}: damaged or not a safetensors file of {len(data)} bytes ({reason})") from error
     if hashlib.sha256(data).hexdigest() != sha256:
         raise ConfigError(
-            f"{path}: its checksum is not the one noted when it was saved; "
-            "it is damaged or belongs to another card"
+            f"{path}: its checksum is not the one noted when it was saved; it is damaged or belongs to another card"
         )
     return tensors
 
@@ -168,9 +163,7 @@ def check_format(document: dict[str, Any], known: int, where: Path | str) -> Non
     if type(found) is not int or found < 1:
         raise ConfigError(f"{where}: format={found!r}, a whole number from 1 to {known} is needed")
     if found > known:
-        raise ConfigError(
-            f"{where}: format={found} is newer than {known}, the newest this version reads"
-        )
+        raise ConfigError(f"{where}: format={found} is newer than {known}, the newest this version reads")
 
 
 def _encode(value: Any, where: str, tensors: dict[str, Tensor]) -> Any:

@@ -112,9 +112,7 @@ def test_a_card_that_is_not_one_is_refused(text: str) -> None:
 
 def test_a_card_takes_only_plain_data(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="config.path"):
-        save_policy(
-            tmp_path / "p.safetensors", {"actor": network()}, card(config={"path": tmp_path})
-        )
+        save_policy(tmp_path / "p.safetensors", {"actor": network()}, card(config={"path": tmp_path}))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -182,9 +180,7 @@ def test_checkpoint_round_trip_and_layout(tmp_path: Path) -> None:
         load_training_state(tmp_path / "alone.safetensors")
 
 
-@pytest.mark.parametrize(
-    "name", [POLICY_FILE, "training/tensors.safetensors", "training/state.json", "policy.json"]
-)
+@pytest.mark.parametrize("name", [POLICY_FILE, "training/tensors.safetensors", "training/state.json", "policy.json"])
 @pytest.mark.parametrize("keep", [0.0, 0.01, 0.5, 0.999])
 def test_truncated_files_are_refused_by_name(tmp_path: Path, name: str, keep: float) -> None:
     folder = tmp_path / step_folder(1)
@@ -296,9 +292,7 @@ def dies_at(call: int, work: Any) -> bool:
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.parametrize("same_name", [False, True])
-def test_a_crash_at_any_moment_never_leaves_half_a_checkpoint(
-    tmp_path: Path, same_name: bool
-) -> None:
+def test_a_crash_at_any_moment_never_leaves_half_a_checkpoint(tmp_path: Path, same_name: bool) -> None:
     old = tmp_path / step_folder(1)
     new = old if same_name else tmp_path / step_folder(2)
 

@@ -40,10 +40,7 @@ def shipped_files(root: Path) -> set[str]:
         for path in (root / "skatemount").rglob("*.*")
         if path.suffix in {".py", ".typed", ".safetensors", ".json"}
     }
-    settings = {
-        f"skatemount/{path.relative_to(root).as_posix()}"
-        for path in (root / "conf").rglob("*.yaml")
-    }
+    settings = {f"skatemount/{path.relative_to(root).as_posix()}" for path in (root / "conf").rglob("*.yaml")}
     return package | settings
 
 

@@ -150,9 +150,7 @@ def test_a_moved_run_leaves_no_pointer_around_it(runs_root: Path, tmp_path: Path
     assert find_checkpoint(str(moved)) == folder
 
 
-def test_find_errors_are_one_line_that_says_what_there_is(
-    runs_root: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_find_errors_are_one_line_that_says_what_there_is(runs_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     policies = runs_root.parent / "policies"
     policies.mkdir()
     (policies / "balance.safetensors").touch()
@@ -181,9 +179,7 @@ def test_find_errors_are_one_line_that_says_what_there_is(
 
 def git(folder: Path, *arguments: str) -> None:
     identity = ["-c", "user.name=n", "-c", "user.email=e@example.org"]
-    subprocess.run(
-        ["git", *identity, "-C", str(folder), *arguments], check=True, capture_output=True
-    )
+    subprocess.run(["git", *identity, "-C", str(folder), *arguments], check=True, capture_output=True)
 
 
 def test_git_report_tells_commit_status_and_difference(tmp_path: Path) -> None:

@@ -55,9 +55,7 @@ class Legs:
         calf = along_calf * k.calf_length
         knee_x, knee_z = -torch.sin(q1) * k.thigh_length, -torch.cos(q1) * k.thigh_length
         thighs = place(-torch.sin(q1) * thigh, -torch.cos(q1) * thigh)
-        calves = place(
-            knee_x - torch.sin(q1 + q2) * calf, knee_z - torch.cos(q1 + q2) * calf
-        )
+        calves = place(knee_x - torch.sin(q1 + q2) * calf, knee_z - torch.cos(q1 + q2) * calf)
         return thighs, calves
 
     def feet(self, joints: Tensor) -> Tensor:

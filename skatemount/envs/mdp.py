@@ -33,6 +33,7 @@ class Outcome:
         ends: ``[terminations, N]`` bool.
         terminated: ``[N]`` bool, ended by a termination.
         truncated: ``[N]`` bool, ended by the time limit alone.
+        succeeded: ``[N]`` bool, ended by the time limit, and achieved what the task asks for.
     """
 
     reward: Tensor
@@ -40,6 +41,7 @@ class Outcome:
     ends: Tensor
     terminated: Tensor
     truncated: Tensor
+    succeeded: Tensor
 
 
 class Mdp:
@@ -59,6 +61,7 @@ class Mdp:
         self.rewards = RewardTable(config.reward, self.context)
         self.terminations = TerminationTable(config.termination, self.context)
         self._commander = Commander(config.command, self.context.control_step, generator)
+        self._criterion = success.CRITERIA[config.success]
         self._noise = generator if config.observation.noise else None
         robot = scene.robot
         self._clip = robot.config.action_clip
@@ -125,6 +128,9 @@ class Mdp:
         episode.touching = touching
         episode.on_deck = on_deck
         episode.off_time = torch.where(on_deck, 0.0, episode.off_time + step)
+        velocity = torch.linalg.vector_norm(sim.base_lin_vel[:, :2] - episode.command[:, :2], dim=-1)
+        turn = (sim.base_ang_vel[:, 2] - episode.command[:, 2]).abs()
+        episode.command_error = episode.command_error + torch.stack((velocity, turn), 1)
         episode.mounted = success.is_mounted(sim, episode.off_time)
         episode.mounted_time = torch.where(episode.mounted, episode.mounted_time + step, 0.0)
         elapsed = torch.where(on_deck.any(1), episode.step * step, math.inf)
@@ -138,7 +144,8 @@ class Mdp:
         # What a failed world shows means nothing; one number that is not finite would spoil the whole batch.
         shares = torch.where(diverged, 0.0, shares)
         self._commander.update(sim, episode)
-        return Outcome(shares.sum(0), shares, ends, terminated, truncated)
+        succeeded = truncated & self._criterion(episode, step)
+        return Outcome(shares.sum(0), shares, ends, terminated, truncated, succeeded)
 
     def end_names(self) -> list[str]:
         """Names of the rows of `Outcome.ends`."""
@@ -155,4 +162,3 @@ class Mdp:
             ``[N, observation.size]``, with noise if it is on, and ``[N, privileged.size]``.
         """
         return self.observation(sim, episode, self._noise), self.privileged(sim, episode)
-

@@ -1,7 +1,7 @@
 """The left-right mirror image of observations and actions, as a permutation and signs.
 
-The robot and the board are symmetric about the trunk's xz plane: under y -> -y polar vectors change the sign of y, axial
-vectors (angular velocities) that of x and z, right legs become left legs, and hip angles change sign.
+The robot and the board are symmetric about the trunk's xz plane: under y -> -y polar vectors change the sign of y,
+axial vectors (angular velocities) that of x and z, right legs become left legs, and hip angles change sign.
 """
 
 from __future__ import annotations

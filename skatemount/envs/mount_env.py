@@ -10,7 +10,6 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from skatemount.envs import success
 from skatemount.envs.physics.base import Physics, make_physics
 from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.starts import StartQueue
@@ -25,16 +24,19 @@ class MountEnv(EnvBase):
         env = MountEnv(MountTask(stage="unfixed"), num_worlds=512)
         env.rollout(100, break_when_any_done=False)
 
-    Keys: ``observation`` ``[N, D]`` (the actor's), ``privileged`` ``[N, P]`` (the critic's besides), ``action`` ``[N, 12]``
-    (joint position targets around the default pose, in units of the action scale, clipped), ``success`` ``[N, 1]`` (true in
-    the last step of an episode that succeeded), ``reward``, ``done``, ``terminated``, ``truncated`` ``[N, 1]``. A reset may
-    choose worlds by ``_reset``; the step's ``next`` entry keeps the true last observation of an episode.
+    Keys: ``observation`` ``[N, D]`` (the actor's), ``privileged`` ``[N, P]`` (the critic's besides), ``action``
+        ``[N, 12]``
+    (joint position targets around the default pose, in units of the action scale, clipped), ``success`` ``[N, 1]``
+    (true in the last step of an episode that succeeded), ``reward``, ``done``, ``terminated``, ``truncated`` ``[N,
+    1]``. A reset may choose worlds by ``_reset``; the step's ``next`` entry keeps the true last observation of an
+    episode.
 
     Args:
         task: The task.
         num_worlds: Worlds stepped together; the task's setting ``physics.num_worlds`` if none.
         threads: Physics threads; the task's setting if none, every core if 0.
         seed: Source of every random number; results do not depend on the number of threads.
+        random_phase: Let the first episodes start at random phases, so that they do not all end at once.
 
     Attributes:
         task: The task.
@@ -43,7 +45,12 @@ class MountEnv(EnvBase):
     """
 
     def __init__(
-        self, task: MountTask, num_worlds: int | None = None, threads: int | None = None, seed: int = 0
+        self,
+        task: MountTask,
+        num_worlds: int | None = None,
+        threads: int | None = None,
+        seed: int = 0,
+        random_phase: bool = False,
     ):
         config = task.config.physics
         physics = make_physics(task.scene, config, num_worlds, threads)
@@ -55,6 +62,7 @@ class MountEnv(EnvBase):
         self.mdp = task.make_mdp(self.generator)
         self.statistics = EpisodeStatistics(self.mdp, n)
         self._substeps = config.substeps
+        self._random_phase = random_phase
         self._make_specs(n)
         self.set_seed(seed)
 
@@ -96,6 +104,7 @@ class MountEnv(EnvBase):
         self._randomizer = Randomizer(config.randomization, physics.index, physics.model, self.generator)
         self._randomizer.build_worlds(physics)
         self._episode = EpisodeState.zeros(n)
+        self._begun = False
         self.statistics.clear()
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
@@ -116,6 +125,10 @@ class MountEnv(EnvBase):
         self._pushes.restart(mask)
         self._sim = self.physics.state()
         self._episode = self.mdp.begin(self._sim, self._episode, mask)
+        if self._random_phase and not self._begun:
+            longest = self.mdp.context.episode_steps
+            self._episode.step = torch.randint(longest, (self.num_worlds,), generator=self.generator)
+        self._begun = True
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict["action"]
@@ -125,9 +138,8 @@ class MountEnv(EnvBase):
         self._sim = self.physics.state()
         outcome = self.mdp.advance(self._sim, self._episode, action, self.physics.diverged())
         done = outcome.terminated | outcome.truncated
-        succeeded = done & success.succeeded(self._episode, outcome.terminated, self.mdp.context.control_step)
-        self.statistics.add(self._episode, outcome, done, succeeded)
-        result = self._observation(succeeded)
+        self.statistics.add(self._episode, outcome, done)
+        result = self._observation(outcome.succeeded)
         result["reward"] = outcome.reward.unsqueeze(1)
         result["done"] = done.unsqueeze(1)
         result["terminated"] = outcome.terminated.unsqueeze(1)

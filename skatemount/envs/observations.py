@@ -108,8 +108,8 @@ def board_pos(sim: SimState, episode: EpisodeState, context: TaskContext, at: st
         sim: The state.
         episode: The episode.
         context: Constants.
-        at: ``deck``, the centre of the deck's top, or ``ground``, the point of the board's frame a deck's height below it
-            (the paper's code).
+        at: ``deck``, the centre of the deck's top, or ``ground``, the point of the board's frame a deck's height
+            below it (the paper's code).
     """
     if at == "deck":
         return sim.board_pos_base
@@ -165,8 +165,8 @@ def outline(sim: SimState, episode: EpisodeState, context: TaskContext, points: 
 def outline_paper(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """The paper's 24 edge points in the trunk frame, ``[N, 72]`` m.
 
-    A walk around the deck in steps of 0.083 m, 12 mm above its top, that overshoots the corners as the paper's code does
-    (its points on the short edges end 82 mm outside).
+    A walk around the deck in steps of 0.083 m, 12 mm above its top, that overshoots the corners as the paper's code
+    does (its points on the short edges end 82 mm outside).
     """
     half_x, half_y = context.deck_half
     step = 0.083
@@ -203,7 +203,7 @@ def on_deck(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tenso
 
 @_observation(4, "flags")
 def deck_touch(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Feet with any force at all against the deck, ``[N, 4]`` of 0 and 1 (the paper's flag: no height, no threshold)."""
+    """Feet with any force at all against the deck, ``[N, 4]`` of 0 and 1 (the paper's flag: no threshold)."""
     return (sim.foot_deck_force != 0).any(-1).to(sim.base_pos.dtype)
 
 
@@ -285,9 +285,7 @@ class ObservationTable:
         self._noisy = bool((self._noise > 0).any())
         self._clipped = bool(self._clip.isfinite().any())
 
-    def __call__(
-        self, sim: SimState, episode: EpisodeState, generator: torch.Generator | None = None
-    ) -> Tensor:
+    def __call__(self, sim: SimState, episode: EpisodeState, generator: torch.Generator | None = None) -> Tensor:
         """The vector of every world.
 
         Args:
@@ -327,7 +325,7 @@ class ObservationTable:
         for name, kind, size in self._mirrors:
             if kind is None:
                 raise ConfigError(
-                    f"observation term {name} has no left-right mirror image: choose another, or algorithm.symmetry=none"
+                    f"observation term {name} has no left-right mirror image: choose another or algorithm.symmetry=none"
                 )
             permutation, sign = mirror_map(kind, size)
             permutations.append(permutation + start)

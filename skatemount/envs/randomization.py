@@ -30,8 +30,8 @@ class RandomizationConfig:
     What concerns masses and friction is drawn once a world, gains at each of its resets.
 
     Attributes:
-        friction: Factor on the sliding friction of the robot, the deck and the robot's floor alike: of two geoms that touch,
-            MuJoCo takes the larger friction.
+        friction: Factor on the sliding friction of the robot, the deck and the robot's floor alike: of two geoms
+            that touch, MuJoCo takes the larger friction.
         trunk_mass: Added to the trunk, kg.
         trunk_com: Added to each axis of the trunk's centre of mass, m.
         inertia: Factor on the inertia of every robot body.
@@ -156,9 +156,7 @@ class Randomizer:
         if c.kp == _one() and c.kd == _one():
             return
         gain, nominal = self._field(physics, "actuator_gainprm")
-        kp, kd = (
-            torch.exp(self._uniform([math.log(b) for b in bounds], len(gain), 1)) for bounds in (c.kp, c.kd)
-        )
+        kp, kd = (torch.exp(self._uniform([math.log(b) for b in bounds], len(gain), 1)) for bounds in (c.kp, c.kd))
         gain.copy_(torch.where(mask.view(-1, 1, 1), scale_gains(nominal.expand_as(gain), kp, kd), gain))
 
 
@@ -172,9 +170,7 @@ class Pushes:
         generator: Source of randomness.
     """
 
-    def __init__(
-        self, config: RandomizationConfig, num_worlds: int, control_step: float, generator: torch.Generator
-    ):
+    def __init__(self, config: RandomizationConfig, num_worlds: int, control_step: float, generator: torch.Generator):
         self.config = config
         self._step = control_step
         self._generator = generator

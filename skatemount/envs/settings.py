@@ -12,6 +12,7 @@ from skatemount.envs.physics.base import PhysicsConfig
 from skatemount.envs.randomization import RandomizationConfig
 from skatemount.envs.rewards import RewardTerm
 from skatemount.envs.starts import StartConfig
+from skatemount.envs.success import CRITERIA
 from skatemount.envs.terminations import TerminationTerm
 from skatemount.errors import ConfigError
 
@@ -37,6 +38,8 @@ class TaskConfig:
 
     Attributes:
         episode_length: Seconds.
+        success: What an episode must achieve: ``mount`` (stand on the board at its end) or ``gait`` (follow the
+            command).
         robot: The A1.
         board: The skateboard.
         physics: Time step, solver, engine.
@@ -49,6 +52,7 @@ class TaskConfig:
     """
 
     episode_length: float = 5.0
+    success: str = "mount"
     robot: A1Config = field(default_factory=A1Config)
     board: SkateboardConfig = field(default_factory=SkateboardConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
@@ -63,5 +67,7 @@ class TaskConfig:
         """Raise `ConfigError` for the first setting that cannot be used."""
         if self.episode_length <= 0:
             raise ConfigError(f"episode_length={self.episode_length} must be above 0 seconds")
+        if self.success not in CRITERIA:
+            raise ConfigError(f"success={self.success} must be one of {', '.join(CRITERIA)}")
         for part in ("robot", "board", "physics", "start", "command", "randomization"):
             getattr(self, part).validate(part)

@@ -38,8 +38,8 @@ class StartConfig:
         ang_vel: Each axis of the trunk's angular velocity, rad/s.
         joint_pos: Added to each joint of the stance, rad.
         joint_vel: Each joint, rad/s.
-        step_height: Deck above the robot's floor, m; the board's own height if null. Lower steps are made by raising the
-            robot's floor.
+        step_height: Deck above the robot's floor, m; the board's own height if null. Lower steps are made by raising
+            the robot's floor.
         board_fixed: Share of the starts with the deck welded to the world, 0 to 1.
         edge_margin: No foot starts nearer to the deck's edge than this, m.
         force: Each axis of a constant force on the trunk for the whole episode, N.
@@ -77,9 +77,9 @@ class StartConfig:
 class StartSampler:
     """Draws start states that touch nothing they should not.
 
-    Feet stand on the ground or on the deck, whichever is under them: leg kinematics puts each foot at its support's height,
-    then the trunk is raised until the lowest foot touches. Candidates with a foot near the deck's edge, or with a thigh or
-    calf inside the deck, are dropped.
+    Feet stand on the ground or on the deck, whichever is under them: leg kinematics puts each foot at its support's
+    height, then the trunk is raised until the lowest foot touches. Candidates with a foot near the deck's edge, or
+    with a thigh or calf inside the deck, are dropped.
 
     Args:
         config: Ranges.
@@ -224,4 +224,3 @@ class StartQueue:
         rows = (self._next + mask.cumsum(0) - 1).clamp(0, self._size - 1)
         self._next += count
         return self._starts[rows]
-

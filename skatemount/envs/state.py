@@ -38,7 +38,8 @@ class SimState:
         foot_pos_board: ``[N, 4, 3]`` foot centres in the board frame, m.
         foot_vel_board: ``[N, 4, 3]`` relative to the board, board frame, m/s.
         foot_deck_force: ``[N, 4, 3]`` contact force between foot and deck, world axes, N.
-        foot_other_force: ``[N, 4, 3]`` contact force between foot and anything that is not the deck (ground, wheels), N.
+        foot_other_force: ``[N, 4, 3]`` contact force between foot and anything that is not the deck (ground,
+            wheels), N.
         body_force: ``[N, 13]`` size of the contact force on each other robot body (trunk; hip, thigh, calf a leg), N.
         board_pos: ``[N, 3]`` deck centre, world, m.
         board_rot: ``[N, 3, 3]`` board axes in the world (columns).
@@ -141,6 +142,8 @@ class EpisodeState:
         previous_action: ``[N, 12]`` the one before it.
         command: ``[N, 3]`` velocity command: forward, left (m/s) and turn left (rad/s), trunk frame.
         command_steps: ``[N]`` int64, control steps until a sampled command is drawn anew.
+        command_error: ``[N, 2]`` sum over steps of the error of the velocity in the plane (m/s) and of the turning
+            rate (rad/s).
         on_deck: ``[N, 4]`` bool, foot presses on the deck now.
         off_time: ``[N, 4]`` seconds since the foot last pressed on the deck.
         touchdown: ``[N, 4]`` bool, the foot began to touch anything in this step.
@@ -159,6 +162,7 @@ class EpisodeState:
     previous_action: Tensor
     command: Tensor
     command_steps: Tensor
+    command_error: Tensor
     on_deck: Tensor
     off_time: Tensor
     touchdown: Tensor
@@ -182,6 +186,7 @@ class EpisodeState:
             previous_action=f(n, 12),
             command=f(n, 3),
             command_steps=f(n, dtype=torch.int64),
+            command_error=f(n, 2),
             on_deck=f(n, 4, dtype=torch.bool),
             off_time=torch.full((n, 4), torch.inf),
             touchdown=f(n, 4, dtype=torch.bool),

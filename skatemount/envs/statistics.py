@@ -37,14 +37,13 @@ class EpisodeStatistics:
         self._end_counts: Tensor | float = 0.0
         self._time_outs = 0.0
 
-    def add(self, episode: EpisodeState, outcome: Outcome, done: Tensor, succeeded: Tensor) -> None:
+    def add(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
         """Account for a step.
 
         Args:
             episode: The episodes after the step.
             outcome: What it led to.
             done: ``[N]`` bool, episodes that ended.
-            succeeded: ``[N]`` bool, those that succeeded.
         """
         self._returns += outcome.shares
         self._feet += episode.on_deck.sum(-1)
@@ -52,11 +51,11 @@ class EpisodeStatistics:
             return
         ended = done.to(torch.float32)
         self._episodes += float(ended.sum())
-        self._successes += float(succeeded.sum())
+        self._successes += float(outcome.succeeded.sum())
         self._length += float((episode.step * done).sum())
         self._feet_sum += float((self._feet * ended / episode.step.clamp(min=1)).sum())
         times = success.time_to_mount(episode, self._step)
-        self._mount_time += float(torch.where(succeeded, times, 0.0).sum())
+        self._mount_time += float(torch.where(outcome.succeeded, times, 0.0).sum())
         self._shares = self._shares + self._returns @ ended
         self._end_counts = self._end_counts + (outcome.ends & done).sum(1)
         self._time_outs += float(outcome.truncated.sum())

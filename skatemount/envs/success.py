@@ -15,6 +15,10 @@ FLICKER = 0.1
 """How long a foot's contact with the deck may be interrupted, s."""
 HOLD = 1.0
 """How long the robot must have stood on the board at the end of an episode, s."""
+MAX_VELOCITY_ERROR = 0.25
+"""Mean error of the velocity in the plane that still counts as following the command, m/s."""
+MAX_TURN_ERROR = 0.3
+"""Likewise of the turning rate, rad/s."""
 MAX_TRUNK_TILT = math.radians(45)
 MAX_DECK_TILT = math.radians(30)
 
@@ -46,8 +50,8 @@ def deck_level(sim: SimState) -> Tensor:
 def is_mounted(sim: SimState, off_time: Tensor) -> Tensor:
     """Whether the robot stands on the board now, ``[N]`` bool.
 
-    All four feet on the deck (each interrupted for at most 0.1 s), no foot on anything else, no other part of the robot in
-    contact, trunk within 45 degrees of upright, deck within 30 degrees of level.
+    All four feet on the deck (each interrupted for at most 0.1 s), no foot on anything else, no other part of the
+    robot in contact, trunk within 45 degrees of upright, deck within 30 degrees of level.
 
     Args:
         sim: The state.
@@ -60,17 +64,29 @@ def is_mounted(sim: SimState, off_time: Tensor) -> Tensor:
     return feet & clean & level
 
 
-def succeeded(episode: EpisodeState, ended_early: Tensor, control_step: float) -> Tensor:
-    """Whether episodes that end now are successes, ``[N]`` bool.
-
-    An episode succeeds when the robot was mounted throughout its last second and nothing ended it early.
+def stood(episode: EpisodeState, control_step: float) -> Tensor:
+    """Whether the robot was mounted throughout the last second, ``[N]`` bool.
 
     Args:
         episode: The episodes, at their last step.
-        ended_early: ``[N]`` bool, ended by anything but the time limit.
         control_step: Seconds.
     """
-    return (episode.mounted_time >= HOLD - control_step / 2) & ~ended_early
+    return episode.mounted_time >= HOLD - control_step / 2
+
+
+def followed(episode: EpisodeState, control_step: float) -> Tensor:
+    """Whether the robot followed its velocity commands, ``[N]`` bool: mean errors below 0.25 m/s and 0.3 rad/s.
+
+    Args:
+        episode: The episodes, at their last step.
+        control_step: Seconds.
+    """
+    mean = episode.command_error / episode.step.clamp(min=1).unsqueeze(1)
+    return (mean[:, 0] < MAX_VELOCITY_ERROR) & (mean[:, 1] < MAX_TURN_ERROR)
+
+
+CRITERIA = {"mount": stood, "gait": followed}
+"""What an episode must achieve to succeed, besides lasting until its time limit."""
 
 
 def time_to_mount(episode: EpisodeState, control_step: float) -> Tensor:

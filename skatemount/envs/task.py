@@ -42,9 +42,7 @@ class MountTask(composer.Task):
         ConfigError: An unknown stage, setting or value.
     """
 
-    def __init__(
-        self, stage: str | None = None, overrides: Sequence[str] = (), config: TaskConfig | None = None
-    ):
+    def __init__(self, stage: str | None = None, overrides: Sequence[str] = (), config: TaskConfig | None = None):
         if config is None:
             # Only here: composing a configuration needs Hydra, which a task built from Python does not.
             from skatemount.config import compose_task
@@ -138,6 +136,10 @@ class MountTask(composer.Task):
 
     def before_step(self, physics: Any, action: np.ndarray, random_state: np.random.RandomState) -> None:
         """Turn the action into joint position targets."""
+        if self._outcome is None:
+            # After a reset composer computes everything once more with the actuators off; do it again with them on.
+            physics.data.qacc_warmstart[:] = 0.0
+            physics.forward()
         self._action = torch.as_tensor(np.asarray(action), dtype=torch.float32).reshape(1, 12)
         physics.data.ctrl[self._index.actuators] = self._mdp.targets(self._action)[0]
 

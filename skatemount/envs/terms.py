@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs.scene import Scene
-from skatemount.envs.state import EpisodeState, SimState
+from skatemount.envs.state import SimState
 from skatemount.errors import ConfigError
 
 TermFunction = Callable[..., Tensor]
@@ -118,9 +118,7 @@ class Registry:
         if name not in self._functions:
             close = difflib.get_close_matches(name, self._functions, n=1)
             hint = f" (did you mean {close[0]}?)" if close else ""
-            raise ConfigError(
-                f"{self.kind}.{name} is not a known {self.kind}{hint}; known: {', '.join(self.names())}"
-            )
+            raise ConfigError(f"{self.kind}.{name} is not a known {self.kind}{hint}; known: {', '.join(self.names())}")
         return self._functions[name]
 
     def attributes(self, name: str) -> Any:
@@ -153,5 +151,3 @@ def upright(sim: SimState) -> Tensor:
     u = clamp(-g_z, 0, 0.7) / 0.7, the factor of the paper's code on most of its terms.
     """
     return (-sim.gravity[:, 2]).clamp(0.0, 0.7) / 0.7
-
-

@@ -213,8 +213,8 @@ class PPO:
     def _fill_values(self, batch: TensorDictBase) -> None:
         """Value of every state and of what follows it, each computed once.
 
-        What follows a step is the next step's state, but at a time-out and at the end of the batch: there the critic looks at
-        the true next state.
+        What follows a step is the next step's state, but at a time-out and at the end of the batch: there the critic
+        looks at the true next state.
         """
         critic, keys = self.networks.critic, self.networks.critic_keys
         value = critic(batch.select(*keys))["state_value"].float()

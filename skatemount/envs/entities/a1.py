@@ -69,9 +69,7 @@ class A1(composer.Entity):
         )
         # Contact bits: the robot meets floors and boards (which ask for bit 1), never itself.
         collision = default.add("default", dclass="collision")
-        collision.geom.set_attributes(
-            contype=1, conaffinity=0, condim=3, group=3, rgba=(0.9, 0.3, 0.2, 0.3)
-        )
+        collision.geom.set_attributes(contype=1, conaffinity=0, condim=3, group=3, rgba=(0.9, 0.3, 0.2, 0.3))
         foot = collision.add("default", dclass="foot")
         foot.geom.set_attributes(friction=(config.foot_friction, 0.005, 0.0001))
         visual = default.add("default", dclass="visual")
@@ -116,9 +114,7 @@ class A1(composer.Entity):
         self._add_capsule(calf, _CALF_RADIUS, (0, 0, -0.01), (0, 0, -ankle))
 
         foot = {"name": f"{leg}_foot", "pos": (0, 0, -kin.calf_length)}
-        self._foot_geoms.append(
-            calf.add("geom", dclass="foot", type="sphere", size=(kin.foot_radius,), **foot)
-        )
+        self._foot_geoms.append(calf.add("geom", dclass="foot", type="sphere", size=(kin.foot_radius,), **foot))
         self._feet.append(calf.add("site", **foot))
         add_leg_visuals(hip, thigh, calf, leg, kin)
 
@@ -139,9 +135,7 @@ class A1(composer.Entity):
             range=links.JOINT_RANGES[link],
         )
         self._joints.append(joint)
-        self._actuators.append(
-            self._mjcf_root.actuator.add("general", name=f"{leg}_{link}", joint=joint)
-        )
+        self._actuators.append(self._mjcf_root.actuator.add("general", name=f"{leg}_{link}", joint=joint))
         return body
 
     def _add_capsule(
@@ -207,9 +201,7 @@ class A1(composer.Entity):
         """Joint angles that a zero action asks for, rad, shape (12,)."""
         config = self._config
         left = [links.leg_signs(leg)[1] for leg in links.LEGS]
-        return np.array(
-            [angle for s in left for angle in (-s * config.hip_inward, config.thigh, config.calf)]
-        )
+        return np.array([angle for s in left for angle in (-s * config.hip_inward, config.thigh, config.calf)])
 
     @property
     def action_scale(self) -> np.ndarray:

@@ -79,6 +79,4 @@ class A1Config:
         for name, link in (("hip_inward", "hip"), ("thigh", "thigh"), ("calf", "calf")):
             low, high = links.JOINT_RANGES[link]
             if not low <= getattr(self, name) <= high:
-                raise ConfigError(
-                    f"{where}.{name} is {getattr(self, name)}; use an angle in [{low}, {high}] rad"
-                )
+                raise ConfigError(f"{where}.{name} is {getattr(self, name)}; use an angle in [{low}, {high}] rad")

@@ -104,9 +104,7 @@ def thigh_inertial(leg: str) -> Inertial:
     return Inertial(
         1.013,
         np.array([-0.003237, -left * 0.022327, -0.027326]),
-        _symmetric(
-            0.005529065, 0.005139339, 0.001367788, left * 4.825e-6, 3.43869e-4, left * 2.2448e-5
-        ),
+        _symmetric(0.005529065, 0.005139339, 0.001367788, left * 4.825e-6, 3.43869e-4, left * 2.2448e-5),
     )
 
 

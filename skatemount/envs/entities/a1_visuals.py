@@ -71,9 +71,7 @@ def add_trunk_visuals(trunk: mjcf.Element, kin: LegKinematics) -> None:
         _disc(trunk, "silver", 0.041, (x - front * 0.03, y, 0), (x - front * 0.026, y, 0))
 
 
-def add_leg_visuals(
-    hip: mjcf.Element, thigh: mjcf.Element, calf: mjcf.Element, leg: str, kin: LegKinematics
-) -> None:
+def add_leg_visuals(hip: mjcf.Element, thigh: mjcf.Element, calf: mjcf.Element, leg: str, kin: LegKinematics) -> None:
     """Adds hip housing, thigh with the knee's motor, shank and rubber foot of one leg."""
     front, s = leg_signs(leg)
     # Hip: the yoke on the roll axis and the thigh's motor across it.

@@ -63,9 +63,7 @@ class MountArena(composer.Arena):
         )
         visual.quality.set_attributes(shadowsize=4096, offsamples=8)
         visual.map.set_attributes(znear=0.01, zfar=60, shadowscale=0.2, fogstart=6, fogend=22)
-        visual.headlight.set_attributes(
-            ambient=(0.30, 0.31, 0.33), diffuse=(0.18, 0.18, 0.18), specular=(0, 0, 0)
-        )
+        visual.headlight.set_attributes(ambient=(0.30, 0.31, 0.33), diffuse=(0.18, 0.18, 0.18), specular=(0, 0, 0))
         visual.rgba.set_attributes(haze=(0.86, 0.91, 0.96, 1), fog=(0.86, 0.91, 0.96, 1))
         root.asset.add(
             "texture",
@@ -132,12 +130,8 @@ class MountArena(composer.Arena):
             "friction": (friction, 0.005, 0.0001),
             "contype": 0,
         }
-        self._floor = root.worldbody.add(
-            "geom", name="floor", material="floor", conaffinity=2, group=0, **plane
-        )
-        self._robot_floor = root.worldbody.add(
-            "body", name="robot_floor", mocap=True, pos=(0, 0, 0)
-        )
+        self._floor = root.worldbody.add("geom", name="floor", material="floor", conaffinity=2, group=0, **plane)
+        self._robot_floor = root.worldbody.add("body", name="robot_floor", mocap=True, pos=(0, 0, 0))
         self._robot_ground = self._robot_floor.add(
             "geom", name="robot_ground", rgba=(0, 0, 0, 0), conaffinity=1, group=3, **plane
         )
@@ -151,6 +145,4 @@ class MountArena(composer.Arena):
             xyaxes=(0.93, 0.367, 0, -0.100, 0.254, 0.962),
             fovy=42,
         )
-        root.worldbody.add(
-            "camera", name="top", pos=(0, 0, 3.2), xyaxes=(1, 0, 0, 0, 1, 0), fovy=40
-        )
+        root.worldbody.add("camera", name="top", pos=(0, 0, 3.2), xyaxes=(1, 0, 0, 0, 1, 0), fovy=40)

@@ -83,9 +83,7 @@ def add_materials(root: mjcf.RootElement, config: SkateboardConfig) -> None:
         ("metal", (0.72, 0.74, 0.77), 0.8),
         ("dark", (0.30, 0.31, 0.34), 0.5),
     ):
-        root.asset.add(
-            "material", name=name, rgba=(*rgb, 1.0), specular=shine, shininess=shine, reflectance=0
-        )
+        root.asset.add("material", name=name, rgba=(*rgb, 1.0), specular=shine, shininess=shine, reflectance=0)
 
 
 def add_deck(root: mjcf.RootElement, config: SkateboardConfig) -> None:
@@ -93,18 +91,12 @@ def add_deck(root: mjcf.RootElement, config: SkateboardConfig) -> None:
     wood = (config.deck_width, -_GRIP_THICKNESS, config.deck_thickness - _GRIP_THICKNESS)
     grip = (config.deck_width - 0.002, 0.0, _GRIP_THICKNESS)
     for name, slab in (("wood", wood), ("grip", grip)):
-        vertices, faces = deck_mesh(
-            config.deck_length, *slab, config.kick_length, math.radians(config.kick_angle)
-        )
-        root.asset.add(
-            "mesh", name=name, vertex=vertices.ravel(), face=faces.ravel(), smoothnormal=False
-        )
+        vertices, faces = deck_mesh(config.deck_length, *slab, config.kick_length, math.radians(config.kick_angle))
+        root.asset.add("mesh", name=name, vertex=vertices.ravel(), face=faces.ravel(), smoothnormal=False)
         root.worldbody.add("geom", dclass="visual", type="mesh", mesh=name, material=name)
 
 
-def add_truck_mount(
-    root: mjcf.RootElement, config: SkateboardConfig, pivot: np.ndarray, axis: np.ndarray
-) -> None:
+def add_truck_mount(root: mjcf.RootElement, config: SkateboardConfig, pivot: np.ndarray, axis: np.ndarray) -> None:
     """Adds base plate, kingpin and bushing between deck and truck to the root body.
 
     Args:

@@ -44,7 +44,8 @@ class PhysicsConfig(SolverConfig):
 class Physics(Protocol):
     """N worlds of one scene.
 
-    Tensors are float32 unless said otherwise, and full-batch: a mask chooses worlds, so that shapes never depend on data.
+    Tensors are float32 unless said otherwise, and full-batch: a mask chooses worlds, so that shapes never depend on
+    data.
     """
 
     num_worlds: int
@@ -138,9 +139,7 @@ class WorldStart:
     @staticmethod
     def cat(parts: list[WorldStart]) -> WorldStart:
         """Join batches of starts."""
-        return WorldStart(
-            **{name: torch.cat([getattr(p, name) for p in parts]) for name in vars(parts[0])}
-        )
+        return WorldStart(**{name: torch.cat([getattr(p, name) for p in parts]) for name in vars(parts[0])})
 
 
 def _cpu(scene: Scene, num_worlds: int, threads: int) -> Physics:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 
 import mujoco
@@ -46,7 +47,8 @@ class CpuPhysics:
 
     def __init__(self, scene: Scene, num_worlds: int, threads: int = 0):
         self.num_worlds = num_worlds
-        self.model = scene.compile()
+        self.model = scene.compile(visuals=False)
+        self._scene = scene
         self.index = SceneIndex.of(scene, self.model)
         self.threads = threads or available_cores()
         self._batch = Batch(self.model, num_worlds, self.threads)
@@ -133,15 +135,21 @@ class CpuPhysics:
         self._batch.state[:] = state
         self._batch.forward()
 
+    @functools.cached_property
+    def _visible(self) -> mujoco.MjModel:
+        return self._scene.compile()
+
     def world(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """One world as a model and data of its own, to render it.
+        """One world's pose with everything there is to see, to render it.
 
         Args:
             i: The world.
         """
-        model, data = self._batch.get_model(i), self._batch.get_data(i)
-        mujoco.mj_forward(model, data)
-        return model, data
+        data = mujoco.MjData(self._visible)
+        data.qpos[:], data.qvel[:] = self._qpos[i], self._qvel[i]
+        data.mocap_pos[:] = self._mocap[i]
+        mujoco.mj_forward(self._visible, data)
+        return self._visible, data
 
     def close(self) -> None:
         """Stop the threads and free the worlds."""

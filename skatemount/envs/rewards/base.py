@@ -52,9 +52,7 @@ def upward(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor
 
 
 @penalty
-def base_height(
-    sim: SimState, episode: EpisodeState, context: TaskContext, target: float | None = None
-) -> Tensor:
+def base_height(sim: SimState, episode: EpisodeState, context: TaskContext, target: float | None = None) -> Tensor:
     """(h - h*)^2 with h the height of the trunk above its soles, m^2.
 
     Ours: the paper's code measures from the world's floor, so that its robot is told to crouch by the deck's height.
@@ -122,9 +120,7 @@ def joint_pose(sim: SimState, episode: EpisodeState, context: TaskContext) -> Te
 
 
 @penalty
-def joint_pose_squared(
-    sim: SimState, episode: EpisodeState, context: TaskContext, when_mounted: float = 0.0
-) -> Tensor:
+def joint_pose_squared(sim: SimState, episode: EpisodeState, context: TaskContext, when_mounted: float = 0.0) -> Tensor:
     """||q - q_default||^2, rad^2 (ours).
 
     Args:

@@ -49,8 +49,8 @@ def feet_proximity(
 ) -> Tensor:
     """Mean over feet of exp(-d / scale), d the way left to the deck's top (ours).
 
-    d is the distance from the sole to the deck's top rectangle, less a margin inside the edge; for a foot under the deck it
-    is instead the way out to the side and up, otherwise a foot under the deck would be as good as one on it.
+    d is the distance from the sole to the deck's top rectangle, less a margin inside the edge; for a foot under the
+    deck it is instead the way out to the side and up, otherwise a foot under the deck would be as good as one on it.
 
     Args:
         sim: The state.
@@ -80,12 +80,14 @@ def approach(sim: SimState, episode: EpisodeState, context: TaskContext, limit: 
 
 @reward
 def distance(sim: SimState, episode: EpisodeState, context: TaskContext, scale: float = 0.25) -> Tensor:
-    """exp(-d_xy / scale), d_xy the trunk's distance from the deck's centre in the plane, m (paper; scale of its code)."""
+    """exp(-d_xy / scale), d_xy the trunk's distance from the deck's centre in the plane (paper; its code's scale)."""
     return torch.exp(-episode.distance / scale)
 
 
 @reward
-def alignment(sim: SimState, episode: EpisodeState, context: TaskContext, gate: float = 0.3, scale: float = 0.25) -> Tensor:
+def alignment(
+    sim: SimState, episode: EpisodeState, context: TaskContext, gate: float = 0.3, scale: float = 0.25
+) -> Tensor:
     """exp(-(|yaw| / pi) / scale) within ``gate`` metres of the deck's centre in the plane, yaw modulo pi.
 
     Ours is the paper's text, its distance gate in the plane: a board has no front. See `orientation_paper`.
@@ -102,8 +104,8 @@ def orientation_paper(
 ) -> Tensor:
     """exp(-(angle / pi) / scale) within ``gate`` of the point under the board's centre, in space (paper's code).
 
-    The angle is that of the whole rotation between trunk and board, and the point lies on the floor, so the gate is open only
-    to a robot that crouches.
+    The angle is that of the whole rotation between trunk and board, and the point lies on the floor, so the gate is
+    open only to a robot that crouches.
     """
     rotation = sim.board_rot_base
     cosine = ((rotation.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2).clamp(-1, 1)

@@ -20,8 +20,8 @@ class RewardTerm:
     """One row of the reward table.
 
     Attributes:
-        weight: 0 or more. Per second, or, for an event, each time it happens. Whether the term is added or subtracted is a
-            property of the term.
+        weight: 0 or more. Per second, or, for an event, each time it happens. Whether the term is added or
+            subtracted is a property of the term.
         upright: Multiply by how upright the trunk is, as the paper's code does on most of its terms.
         clip: Largest value of the term before it is weighed; none if null.
         params: Parameters of the term's function.

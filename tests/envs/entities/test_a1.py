@@ -34,9 +34,7 @@ def held():
 def standing():
     """An A1 free to move on a floor, after two seconds at its default pose."""
     entity, arena = A1(), composer.Arena()
-    arena.mjcf_model.worldbody.add(
-        "geom", name="floor", type="plane", size=(2, 2, 0.1), contype=0, conaffinity=1
-    )
+    arena.mjcf_model.worldbody.add("geom", name="floor", type="plane", size=(2, 2, 0.1), contype=0, conaffinity=1)
     frame = arena.add_free_entity(entity)
     physics = mjcf.Physics.from_mjcf_model(arena.mjcf_model)
     physics.model.opt.timestep = 0.005
@@ -187,9 +185,7 @@ def test_each_control_drives_its_own_joint(held):
     entity, physics = held
     q = entity.default_pose
     target = q + np.linspace(-0.3, 0.3, 12)
-    np.testing.assert_allclose(
-        actuator_force(entity, physics, target, q, 0.0), 35 * (target - q), atol=1e-9
-    )
+    np.testing.assert_allclose(actuator_force(entity, physics, target, q, 0.0), 35 * (target - q), atol=1e-9)
 
 
 def test_scale_gains_changes_the_force(held):
@@ -253,9 +249,7 @@ def test_contact_bits_and_groups(robot):
 
 
 def test_foot_and_joint_settings_reach_the_model():
-    config = A1Config(
-        foot_friction=0.37, joint_friction=0.2, joint_damping=0.05, armature=0.02, torque_limit=20
-    )
+    config = A1Config(foot_friction=0.37, joint_friction=0.2, joint_damping=0.05, armature=0.02, torque_limit=20)
     entity = A1(config)
     physics = mjcf.Physics.from_mjcf_model(entity.mjcf_model)
     np.testing.assert_allclose(physics.bind(entity.foot_geoms).friction[:, 0], 0.37)

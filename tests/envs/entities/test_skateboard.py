@@ -57,9 +57,7 @@ class World:
             place = {"pos": (0, 0, ROBOT_HEIGHT), "size": (0.05,)}
             body.add("geom", type="sphere", mass=rider, contype=0, conaffinity=0, **place)
         if weld:
-            arena.mjcf_model.equality.add(
-                "weld", body1=self.frame, solref=WELD_SOLREF, solimp=WELD_SOLIMP
-            )
+            arena.mjcf_model.equality.add("weld", body1=self.frame, solref=WELD_SOLREF, solimp=WELD_SOLIMP)
         self.physics = mjcf.Physics.from_mjcf_model(arena.mjcf_model)
         self.free = self.physics.bind(self.frame.freejoint)
         self.body = self.physics.bind(self.frame)
@@ -187,9 +185,7 @@ def test_leaning_steers(angle: float, torque: float) -> None:
 
 @pytest.mark.parametrize("timestep", [0.005, 0.010])
 @pytest.mark.parametrize("torque", [0.6, -0.6])
-def test_a_leaning_board_turns_to_its_side_on_the_laws_radius(
-    torque: float, timestep: float
-) -> None:
+def test_a_leaning_board_turns_to_its_side_on_the_laws_radius(torque: float, timestep: float) -> None:
     world = World(soft(), timestep)
     world.run(1.0, torque=(torque, 0, 0))
     world.start_rolling(1.0)
@@ -202,9 +198,7 @@ def test_a_leaning_board_turns_to_its_side_on_the_laws_radius(
         leans.append(world.lean)
     turned = before - world.heading  # positive to the right
     assert np.sign(turned) == np.sign(torque)
-    assert distance / abs(turned) == pytest.approx(
-        world.config.turning_radius(float(np.mean(leans))), rel=0.05
-    )
+    assert distance / abs(turned) == pytest.approx(world.config.turning_radius(float(np.mean(leans))), rel=0.05)
 
 
 @pytest.mark.parametrize("torque", [1.0, -1.0, 0.5])
@@ -276,9 +270,7 @@ def test_a_rider_of_the_robots_mass_stays_level_if_the_board_is_stiff_enough(
 
 @pytest.mark.parametrize("timestep", [0.005, 0.010])
 @pytest.mark.parametrize("name", ["default", "paper_text", "longboard", "mini"])
-def test_the_free_board_coasts_and_loses_speed_by_its_own_friction(
-    name: str, timestep: float
-) -> None:
+def test_the_free_board_coasts_and_loses_speed_by_its_own_friction(name: str, timestep: float) -> None:
     world = World(preset(name), timestep)
     world.run(0.5)
     world.start_rolling(1.0)
@@ -314,9 +306,7 @@ def test_the_isaac_board_does_not_roll(timestep: float) -> None:
 @pytest.mark.parametrize("timestep", [0.005, 0.010])
 @pytest.mark.parametrize("name", ["default", "longboard", "mini"])
 @pytest.mark.parametrize("corner", [(0.4, 0.45), (-0.4, -0.45)])
-def test_a_welded_deck_does_not_move(
-    name: str, corner: tuple[float, float], timestep: float
-) -> None:
+def test_a_welded_deck_does_not_move(name: str, corner: tuple[float, float], timestep: float) -> None:
     config = preset(name)
     world = World(config, timestep, weld=True)
     start, level = world.position, world.rotation

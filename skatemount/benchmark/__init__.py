@@ -1,0 +1,1 @@
+"""MountBench: how well a policy mounts, with intervals, from fixed seeds."""

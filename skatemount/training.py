@@ -1,0 +1,272 @@
+"""Training: collect, learn, write down what happened, until the frames are spent."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from torchrl.collectors import Collector
+
+from skatemount import checkpoint
+from skatemount import config as configuration
+from skatemount.agent import Agent, check_contract, make_card
+from skatemount.benchmark.evaluation import Evaluation, Evaluator
+from skatemount.config import Config
+from skatemount.envs import MountEnv, MountTask
+from skatemount.envs.physics.cpu import available_cores
+from skatemount.errors import ConfigError
+from skatemount.loggers import MetricsLog, Progress, plot_learning_curves
+from skatemount.losses.ppo import PPO
+from skatemount.losses.symmetry import Symmetry
+from skatemount.models import ActorCritic
+from skatemount.runs import RunFolder, find_checkpoint
+
+EVALUATION_SEED = 1_000_003
+"""Added to the seed for evaluations, so that they never see the training's start states."""
+
+
+def set_torch_threads(config: Config) -> None:
+    """Torch's threads and matrix precision; physics and torch take turns, so both may have every core."""
+    torch.set_num_threads(config.torch_threads or available_cores())
+    torch.set_float32_matmul_precision("highest" if config.precision == "highest" else "medium")
+
+
+def resumed(config: Config, overrides: list[str]) -> Config:
+    """The settings of a run that goes on: what it saved, and from the command line how far to go.
+
+    Args:
+        config: As composed from the command line.
+        overrides: What the user asked for.
+
+    Returns:
+        The same settings unless ``resume`` is set.
+
+    Raises:
+        ConfigError: An override that cannot be changed in the middle of a run.
+    """
+    if config.resume is None:
+        return config
+    may_change = ("total_frames", "torch_threads", "resume", "physics.threads", "logger.")
+    for override in overrides:
+        key = override.lstrip("+~").partition("=")[0]
+        if not key.startswith(may_change):
+            raise ConfigError(
+                f"{override} cannot be changed with resume; {', '.join(may_change)}* can, else use init_from"
+            )
+    saved = configuration.from_dict(RunFolder.open(config.resume).config)
+    saved.resume, saved.torch_threads, saved.physics.threads = (
+        config.resume,
+        config.torch_threads,
+        config.physics.threads,
+    )
+    if any(o.startswith("total_frames=") for o in overrides):
+        saved.total_frames = config.total_frames
+    saved.logger = config.logger
+    return saved
+
+
+class Trainer:
+    """One training run.
+
+    Args:
+        config: Every setting.
+        overrides: What the user asked for, to be written down.
+
+    Raises:
+        ConfigError: A setting that cannot be used, or a policy that does not fit the task.
+    """
+
+    def __init__(self, config: Config, overrides: list[str] | None = None):
+        self.config = config
+        set_torch_threads(config)
+        torch.manual_seed(config.seed)
+        self.task = MountTask(config=config)
+        self.env = MountEnv(self.task, seed=config.seed, random_phase=config.collector.random_phase)
+        mdp = self.env.mdp
+        self.networks = ActorCritic(config.network, mdp.observation.size, mdp.privileged.size)
+        symmetry = Symmetry.of(mdp) if config.algorithm.symmetry != "none" else None
+        self._order = torch.Generator().manual_seed(config.seed)
+        self.ppo = PPO(
+            config.algorithm,
+            self.networks,
+            mdp.context.control_step,
+            symmetry,
+            bf16=config.precision == "bf16",
+            generator=self._order,
+        )
+        self.frames = self.iteration = 0
+        self.elapsed = 0.0
+        self._evaluator: Evaluator | None = None
+        if config.resume is not None:
+            self.run = RunFolder.open(config.resume)
+            self._restore()
+        else:
+            self.started_from = self._initialise()
+            logger = config.logger
+            self.run = RunFolder.create(
+                logger.root,
+                logger.experiment,
+                logger.name or config.stage.name,
+                configuration.to_dict(config),
+                overrides or [],
+            )
+
+    def _initialise(self) -> str | None:
+        """Take over the policy that the settings name, if they name one."""
+        spec = self.config.init_from
+        if spec == "stage":
+            spec = self.config.stage.init_from
+        if spec is None:
+            return None
+        agent = Agent.load(spec, setting="init_from")
+        check_contract(agent.card, self.task)
+        try:
+            self.networks.load_state_dict(agent.networks.state_dict())
+        except RuntimeError as error:
+            layers = agent.config.network.actor
+            raise ConfigError(
+                f"init_from={spec} has a network of {layers}, this run one of {self.config.network.actor}: "
+                "choose the same network, or init_from=null"
+            ) from error
+        return spec
+
+    def _restore(self) -> None:
+        folder = find_checkpoint(str(self.run.path), setting="resume")
+        state = checkpoint.load_training_state(folder)
+        self.networks.load_state_dict(state["networks"])
+        self.ppo.load_state_dict(state["ppo"])
+        self.frames, self.iteration = state["frames"], state["iteration"]
+        self.elapsed = state["elapsed"]
+        torch.set_rng_state(state["torch_rng"])
+        self._order.set_state(state["order_rng"])
+        self.env.generator.set_state(state["env_rng"])
+        self.started_from = str(folder)
+
+    def train(self) -> Evaluation | None:
+        """Train until the frames are spent.
+
+        Returns:
+            The evaluation of the final policy, if the settings ask for one.
+        """
+        config, logger = self.config, self.config.logger
+        batch_frames = self.env.num_worlds * config.collector.steps
+        if self.frames >= config.total_frames:
+            raise ConfigError(
+                f"total_frames={config.total_frames} are already trained ({self.frames}): give more to go on"
+            )
+        collector = Collector(
+            self.env,
+            self.networks.actor,
+            frames_per_batch=batch_frames,
+            total_frames=-1,
+            track_traj_ids=False,
+        )
+        log = MetricsLog(
+            self.run, tensorboard=logger.tensorboard, csv=logger.csv, resume_at=self.frames if self.frames else None
+        )
+        progress = Progress(config.total_frames, config.stage.name, logger.progress_every, self.frames)
+        drawn = started = time.monotonic()
+        already = self.elapsed
+        with _termination_as_interrupt(), log, progress:
+            try:
+                mark = time.monotonic()
+                for batch in collector:
+                    collected = time.monotonic()
+                    metrics = self.ppo.update(batch)
+                    self.frames += batch_frames
+                    self.iteration += 1
+                    now = time.monotonic()
+                    self.elapsed = already + now - started
+                    metrics |= self.env.statistics.pop()
+                    metrics |= {
+                        "Perf/total_fps": batch_frames / (now - mark),
+                        "Perf/collection_time": collected - mark,
+                        "Perf/learning_time": now - collected,
+                        "Perf/elapsed_s": self.elapsed,
+                    }
+                    last = self.frames >= config.total_frames
+                    if self._due(logger.evaluate_every) or (last and logger.evaluate_every):
+                        metrics |= self._evaluate(logger.evaluate_episodes).metrics()
+                    log.log(metrics, self.frames)
+                    progress.update(self.frames, metrics)
+                    if self._due(logger.checkpoint_every) or "Evaluation/success" in metrics or last:
+                        self.save(metrics)
+                    if logger.csv and (last or now - drawn > logger.plot_every):
+                        self.plot()
+                        drawn = now
+                    if last:
+                        break
+                    mark = time.monotonic()
+            except KeyboardInterrupt:
+                self.save({})
+                raise
+            finally:
+                collector.shutdown(close_env=False)
+        return self._evaluate(logger.final_episodes) if logger.final_episodes else None
+
+    def _due(self, every: int) -> bool:
+        return every > 0 and self.iteration % every == 0
+
+    def _evaluate(self, episodes: int) -> Evaluation:
+        if self._evaluator is None:
+            self._evaluator = Evaluator(self.config, seed=self.config.seed + EVALUATION_SEED)
+        return self._evaluator.run(self.networks, episodes)
+
+    def plot(self) -> None:
+        """Draw the learning curves."""
+        plot_learning_curves(self.run.metrics_csv, self.run.curves_png, title=self.run.path.name)
+
+    def save(self, metrics: dict[str, float]) -> None:
+        """Write a checkpoint.
+
+        Args:
+            metrics: Of the last iteration; ``Evaluation/success`` and ``Evaluation/feet_on_board`` decide which is
+                the best.
+        """
+        score = None
+        if "Evaluation/success" in metrics:
+            score = metrics["Evaluation/success"] + 0.01 * metrics["Evaluation/feet_on_board"]
+        card = make_card(self.config, self.task, self.frames, metrics)
+        state: dict[str, Any] = {
+            "networks": dict(self.networks.state_dict()),
+            "ppo": self.ppo.state_dict(),
+            "frames": self.frames,
+            "iteration": self.iteration,
+            "elapsed": self.elapsed,
+            "torch_rng": torch.get_rng_state(),
+            "order_rng": self._order.get_state(),
+            "env_rng": self.env.generator.get_state(),
+        }
+        folder = self.run.checkpoint(self.frames)
+        checkpoint.save_checkpoint(folder, {"networks": self.networks}, card, state)
+        self.run.mark_checkpoint(folder, score)
+        checkpoint.keep_last(self.run.checkpoints, self.config.logger.keep_checkpoints, protect=self.run.best)
+
+    def close(self) -> None:
+        """Stop the engines."""
+        self.env.close()
+        if self._evaluator is not None:
+            self._evaluator.close()
+
+
+@contextmanager
+def _termination_as_interrupt() -> Iterator[None]:
+    """Let a request to end (SIGTERM) end the run as Ctrl-C does: with a checkpoint."""
+
+    def interrupt(signum: int, frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        previous = signal.signal(signal.SIGTERM, interrupt)
+    except ValueError:
+        # Signals belong to the main thread.
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
