@@ -16,8 +16,8 @@ from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic, NetworkConfig
 
 SHORT = ["episode_length=2", "physics.threads=1"]
-# Some of these start with legs beyond the edge of the deck, some are thrown over.
-MIXED = [*SHORT, "start.x=[-0.3,0.3]", "start.ang_vel=[-3,3]", "start.height=[0.0,0.1]"]
+# Some of these start well on the deck, some are thrown over.
+MIXED = [*SHORT, "start.x=[-0.1,0.1]", "start.ang_vel=[-1.2,1.2]"]
 
 
 def make_networks(config: Config) -> ActorCritic:
@@ -33,30 +33,24 @@ def mixed() -> tuple[Config, ActorCritic]:
     return config, make_networks(config)
 
 
-def by_hand(config: Config, networks: ActorCritic, worlds: int, rounds: int, seed: int) -> list[bool]:
-    """Each world's verdict, from an environment that starts worlds anew itself: its first episode."""
+def first_verdicts(config: Config, networks: ActorCritic, worlds: int, seed: int) -> list[bool]:
+    """What the environment says at the end of each world's first episode."""
     env = MountEnv(MountTask(config=config), num_worlds=worlds, seed=seed)
-    verdicts = []
-    for _ in range(rounds):
-        seen, verdict = env.reset(), [None] * worlds
-        with torch.no_grad():
-            while None in verdict:
-                seen["action"] = networks.actor.get_dist(seen).mean
-                seen = env.step(seen)["next"]
-                for i in seen["done"].flatten().nonzero().flatten().tolist():
-                    if verdict[i] is None:
-                        verdict[i] = bool(seen["success"][i])
-        # The evaluation goes on to the time limit, which draws more noise.
-        while int(env.episode.step[0]) < env.mdp.context.episode_steps:
-            env.step(seen.set("action", torch.zeros(worlds, 12)))
-        verdicts += verdict
+    verdicts: dict[int, bool] = {}
+    seen = env.reset()
+    with torch.no_grad():
+        while len(verdicts) < worlds:
+            seen["action"] = networks.actor.get_dist(seen).mean
+            seen = env.step(seen)["next"]
+            for i in seen["done"].flatten().nonzero().flatten().tolist():
+                verdicts.setdefault(i, bool(seen["success"][i]))
     env.close()
-    return verdicts
+    return list(verdicts.values())
 
 
 def test_verdicts_are_the_environments(mixed: tuple[Config, ActorCritic]) -> None:
     config, networks = mixed
-    expected = by_hand(config, networks, worlds=40, rounds=1, seed=3)
+    expected = first_verdicts(config, networks, worlds=40, seed=3)
     result = evaluate_policy(networks, config, episodes=40, seed=3, num_worlds=40)
     assert 0 < sum(expected) < 40  # both verdicts occur
     assert result.successes == sum(expected)
@@ -88,12 +82,12 @@ def test_early_ends_are_named_and_count_once(mixed: tuple[Config, ActorCritic]) 
 
 def test_equal_seeds_give_equal_numbers_and_others_do_not(mixed: tuple[Config, ActorCritic]) -> None:
     config, networks = mixed
-    evaluator = Evaluator(config, num_worlds=16, seed=7)
-    first, again = evaluator.run(networks, 20), evaluator.run(networks, 20)
+    evaluator = Evaluator(config, num_worlds=6, seed=7)
+    first, again = evaluator.run(networks, 9), evaluator.run(networks, 9)
     evaluator.close()
-    elsewhere = evaluate_policy(networks, config, 20, seed=7, num_worlds=16)
+    elsewhere = evaluate_policy(networks, config, 9, seed=7, num_worlds=6)
     assert first.to_dict() == again.to_dict() == elsewhere.to_dict()
-    other = evaluate_policy(networks, config, 20, seed=8, num_worlds=16)
+    other = evaluate_policy(networks, config, 9, seed=8, num_worlds=6)
     assert other.feet_on_board != first.feet_on_board
 
 
