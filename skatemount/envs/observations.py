@@ -113,6 +113,8 @@ def board_pos(sim: SimState, episode: EpisodeState, context: TaskContext, at: st
     """
     if at == "deck":
         return sim.board_pos_base
+    if at != "ground":
+        raise ConfigError(f"observation.board_pos.params.at={at} must be deck or ground")
     return sim.board_pos_base - context.deck_height * sim.board_rot_base[..., 2]
 
 
