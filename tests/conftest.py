@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Iterator, Sequence
 from ctypes.util import find_library
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
+
+if TYPE_CHECKING:
+    from skatemount.envs import MountEnv
 
 # Decided before anything imports mujoco or dm_control, which read it once. Without a GL library
 # the backend is left to them: only tests that render need one.
@@ -47,3 +52,20 @@ def runs_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     root = tmp_path / "runs"
     root.mkdir()
     return root
+
+
+@pytest.fixture
+def make_env() -> Iterator[Callable[..., MountEnv]]:
+    """A batched environment, `make_env(stage, num_worlds, overrides, **arguments of MountEnv)`; closed at the end."""
+    from skatemount.envs import MountEnv, MountTask
+
+    made: list[MountEnv] = []
+
+    def make(stage: str = "mount", num_worlds: int = 4, overrides: Sequence[str] = (), **arguments: Any) -> MountEnv:
+        arguments = {"threads": 1} | arguments
+        made.append(MountEnv(MountTask(stage=stage, overrides=overrides), num_worlds=num_worlds, **arguments))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close(raise_if_closed=False)
