@@ -126,7 +126,7 @@ class MountTask(composer.Task):
         data.qvel[index.base_dof] = torch.cat((start.base_lin_vel[0], start.base_ang_vel[0]))
         data.qvel[index.joint_dof] = start.joint_vel[0]
         data.ctrl[index.actuators] = start.joint_pos[0]
-        data.xfrc_applied[index.robot_body] = torch.cat((start.force[0], start.torque[0]))
+        data.xfrc_applied[index.trunk_body] = torch.cat((start.force[0], start.torque[0]))
         data.eq_active[index.weld] = bool(start.board_fixed[0])
         data.mocap_pos[index.floor_mocap, 2] = float(start.ground_height[0])
         physics.forward()

@@ -87,7 +87,7 @@ class CpuPhysics:
         qvel[:, index.joint_dof] = rows.joint_vel.numpy()
         self._qvel[ids] = qvel
         self._ctrl[np.ix_(ids, index.actuators)] = rows.joint_pos.numpy()
-        self._wrench[ids, index.robot_body] = torch.cat((rows.force, rows.torque), -1).numpy()
+        self._wrench[ids, index.trunk_body] = torch.cat((rows.force, rows.torque), -1).numpy()
         # A reset put these two back to the model's defaults.
         self._weld[ids, index.weld] = rows.board_fixed.numpy()
         self._mocap[ids, index.floor_mocap, 2] = rows.ground_height.numpy()
