@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Callable
+from typing import NoReturn
 
 import hydra
 from omegaconf import DictConfig
@@ -27,10 +29,24 @@ def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
     # Without this Hydra prints a screen of its own and ends the program itself.
     os.environ["HYDRA_FULL_ERROR"] = "1"
 
+    # TorchRL's own parts still use what it has deprecated.
+    warnings.filterwarnings("ignore", message="Creating .*WeightUpdater", category=DeprecationWarning)
+
     @hydra.main(config_path=str(configuration.config_dir().absolute()), config_name="config", version_base="1.3")
     def application(composed: DictConfig) -> None:
         overrides = list(hydra.core.hydra_config.HydraConfig.get().overrides.task)
-        verb(configuration.to_object(composed), overrides)
+        try:
+            verb(configuration.to_object(composed), overrides)
+        except (ConfigError, FloatingPointError) as error:
+            # Caught here because Hydra would print a line of its own first.
+            fail(error)
+
+    def fail(error: Exception) -> NoReturn:
+        if os.environ.get("SKATEMOUNT_TRACEBACK"):
+            raise error
+        text = str(error) if isinstance(error, ConfigError) else configuration.one_line(error)
+        print(f"skatemount.{name}: {text}", file=sys.stderr)
+        sys.exit(2)
 
     try:
         _check_stages(sys.argv[1:])
@@ -38,14 +54,9 @@ def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
     except KeyboardInterrupt:
         sys.exit(130)
     except Exception as error:
-        if os.environ.get("SKATEMOUNT_TRACEBACK"):
-            raise
-        expected = isinstance(error, ConfigError | FloatingPointError) or _from_hydra(error)
-        if not expected:
-            raise
-        text = str(error) if isinstance(error, ConfigError) else configuration.one_line(error)
-        print(f"skatemount.{name}: {text}", file=sys.stderr)
-        sys.exit(2)
+        if isinstance(error, ConfigError) or _from_hydra(error):
+            fail(error)
+        raise
 
 
 def _check_stages(arguments: list[str]) -> None:

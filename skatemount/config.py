@@ -9,9 +9,11 @@ from typing import Any
 
 import hydra
 from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
 import skatemount
+from skatemount.curriculum.base import CurriculumConfig
 from skatemount.envs.settings import TaskConfig
 from skatemount.errors import ConfigError
 from skatemount.losses.ppo import AlgorithmConfig
@@ -88,6 +90,7 @@ class Config(TaskConfig):
     stage: StageConfig = field(default_factory=StageConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
     algorithm: AlgorithmConfig = field(default_factory=AlgorithmConfig)
+    curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
     collector: CollectorConfig = field(default_factory=CollectorConfig)
     logger: LoggerConfig = field(default_factory=LoggerConfig)
     seed: int = 0
@@ -107,6 +110,7 @@ class Config(TaskConfig):
         super().validate()
         self.network.validate("network")
         self.algorithm.validate("algorithm")
+        self.curriculum.validate("curriculum")
         if self.precision not in PRECISIONS:
             raise ConfigError(f"precision={self.precision} must be one of {', '.join(PRECISIONS)}")
         for name in ("total_frames", "episodes"):
@@ -174,11 +178,15 @@ def compose(stage: str | None = None, overrides: Sequence[str] = ()) -> Config:
     if stage is not None:
         check_stage(stage)
         overrides = [f"+stage={stage}", *overrides]
+    # Hydra knows one application at a time: a running one steps aside.
+    running, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None
     try:
         with hydra.initialize_config_dir(str(config_dir().absolute()), version_base="1.3"):
             composed = hydra.compose("config", list(overrides))
     except Exception as error:
         raise ConfigError(one_line(error)) from error
+    finally:
+        GlobalHydra.instance().hydra = running
     return to_object(composed)
 
 

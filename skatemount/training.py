@@ -14,8 +14,9 @@ from torchrl.collectors import Collector
 from skatemount import checkpoint
 from skatemount import config as configuration
 from skatemount.agent import Agent, check_contract, make_card
-from skatemount.benchmark.evaluation import Evaluation, Evaluator
+from skatemount.benchmark.evaluation import EVALUATION_SEED, Evaluation, Evaluator
 from skatemount.config import Config
+from skatemount.curriculum.auto import AutoCurriculum
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.errors import ConfigError
@@ -24,9 +25,6 @@ from skatemount.losses.ppo import PPO
 from skatemount.losses.symmetry import Symmetry
 from skatemount.models import ActorCritic
 from skatemount.runs import RunFolder, find_checkpoint
-
-EVALUATION_SEED = 1_000_003
-"""Added to the seed for evaluations, so that they never see the training's start states."""
 
 
 def set_torch_threads(config: Config) -> None:
@@ -98,6 +96,11 @@ class Trainer:
             bf16=config.precision == "bf16",
             generator=self._order,
         )
+        self.curriculum: AutoCurriculum | None = None
+        if config.curriculum.kind == "auto":
+            self.curriculum = AutoCurriculum(config.curriculum, self.task.scene.deck_height)
+            self.env.listeners.append(self.curriculum.record)
+            self.env.place_starts(self.curriculum.place)
         self.frames = self.iteration = 0
         self.elapsed = 0.0
         self._evaluator: Evaluator | None = None
@@ -141,6 +144,9 @@ class Trainer:
         self.ppo.load_state_dict(state["ppo"])
         self.frames, self.iteration = state["frames"], state["iteration"]
         self.elapsed = state["elapsed"]
+        if self.curriculum is not None:
+            self.curriculum.load_state_dict(state["curriculum"])
+            self.env.place_starts(self.curriculum.place)
         torch.set_rng_state(state["torch_rng"])
         self._order.set_state(state["order_rng"])
         self.env.generator.set_state(state["env_rng"])
@@ -164,6 +170,7 @@ class Trainer:
             frames_per_batch=batch_frames,
             total_frames=-1,
             track_traj_ids=False,
+            auto_register_policy_transforms=False,
         )
         log = MetricsLog(
             self.run, tensorboard=logger.tensorboard, csv=logger.csv, resume_at=self.frames if self.frames else None
@@ -182,6 +189,10 @@ class Trainer:
                     now = time.monotonic()
                     self.elapsed = already + now - started
                     metrics |= self.env.statistics.pop()
+                    if self.curriculum is not None:
+                        self.curriculum.update()
+                        self.env.place_starts(self.curriculum.place)
+                        metrics |= self.curriculum.metrics()
                     metrics |= {
                         "Perf/total_fps": batch_frames / (now - mark),
                         "Perf/collection_time": collected - mark,
@@ -237,6 +248,7 @@ class Trainer:
             "frames": self.frames,
             "iteration": self.iteration,
             "elapsed": self.elapsed,
+            "curriculum": None if self.curriculum is None else self.curriculum.state_dict(),
             "torch_rng": torch.get_rng_state(),
             "order_rng": self._order.get_state(),
             "env_rng": self.env.generator.get_state(),

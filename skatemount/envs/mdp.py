@@ -61,6 +61,7 @@ class Mdp:
         self.rewards = RewardTable(config.reward, self.context)
         self.terminations = TerminationTable(config.termination, self.context)
         self._commander = Commander(config.command, self.context.control_step, generator)
+        self._fade = math.exp(-self.context.control_step / 0.35)
         self._criterion = success.CRITERIA[config.success]
         self._noise = generator if config.observation.noise else None
         robot = scene.robot
@@ -78,18 +79,21 @@ class Mdp:
         """
         return self.context.default_pose + self._scale * action.clamp(-self._clip, self._clip)
 
-    def begin(self, sim: SimState, episode: EpisodeState, mask: Tensor) -> EpisodeState:
+    def begin(self, sim: SimState, episode: EpisodeState, mask: Tensor, bins: Tensor | None = None) -> EpisodeState:
         """Start new episodes in the chosen worlds.
 
         Args:
             sim: The state, with the start states of those worlds in it.
             episode: The episodes of all worlds.
             mask: ``[N]`` bool.
+            bins: ``[N]`` int64, the parts of a curriculum that the starts come from.
 
         Returns:
             The episodes after it.
         """
         fresh = EpisodeState.zeros(len(mask))
+        if bins is not None:
+            fresh.bin = bins
         distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
         on_deck = success.feet_on_deck(sim)
         fresh.on_deck = on_deck
@@ -132,6 +136,8 @@ class Mdp:
         turn = (sim.base_ang_vel[:, 2] - episode.command[:, 2]).abs()
         episode.command_error = episode.command_error + torch.stack((velocity, turn), 1)
         episode.mounted = success.is_mounted(sim, episode.off_time)
+        near = success.nearly_mounted(sim, self.context.deck_half, self.context.foot_radius)
+        episode.steadiness = torch.lerp(near, episode.steadiness, self._fade)
         episode.mounted_time = torch.where(episode.mounted, episode.mounted_time + step, 0.0)
         elapsed = torch.where(on_deck.any(1), episode.step * step, math.inf)
         episode.first_contact = torch.minimum(episode.first_contact, elapsed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -10,12 +11,15 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from skatemount.envs.mdp import Outcome
 from skatemount.envs.physics.base import Physics, make_physics
 from skatemount.envs.randomization import Pushes, Randomizer
-from skatemount.envs.starts import StartQueue
+from skatemount.envs.starts import Place, StartQueue
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.statistics import EpisodeStatistics
 from skatemount.envs.task import MountTask
+
+Listener = Callable[[EpisodeState, Outcome, Tensor], None]
 
 
 class MountEnv(EnvBase):
@@ -42,6 +46,7 @@ class MountEnv(EnvBase):
         task: The task.
         physics: The engine.
         statistics: What happened in the episodes that ended.
+        listeners: Called after every step with the episodes, what the step led to, and which episodes it ended.
     """
 
     def __init__(
@@ -61,6 +66,8 @@ class MountEnv(EnvBase):
         self.generator = torch.Generator()
         self.mdp = task.make_mdp(self.generator)
         self.statistics = EpisodeStatistics(self.mdp, n)
+        self.listeners: list[Listener] = [self.statistics.add]
+        self._place: Place | None = None
         self._substeps = config.substeps
         self._random_phase = random_phase
         self._make_specs(n)
@@ -98,7 +105,7 @@ class MountEnv(EnvBase):
         """Begin anew from a seed: randomised physics, queued starts, pushes and noise alike."""
         self.generator.manual_seed(0 if seed is None else int(seed))
         config, n = self.task.config, self.num_worlds
-        self._queue = StartQueue(self.task.make_sampler(), max(n, 1024), self.generator)
+        self._queue = StartQueue(self.task.make_sampler(self._place), max(n, 1024), self.generator)
         self._pushes = Pushes(config.randomization, n, self.mdp.context.control_step, self.generator)
         physics = self.physics
         self._randomizer = Randomizer(config.randomization, physics.index, physics.model, self.generator)
@@ -121,14 +128,25 @@ class MountEnv(EnvBase):
             mask: ``[N]`` bool.
         """
         self._randomizer.new_episodes(self.physics, mask)
-        self.physics.reset(mask, self._queue.take(mask))
+        start = self._queue.take(mask)
+        self.physics.reset(mask, start)
         self._pushes.restart(mask)
         self._sim = self.physics.state()
-        self._episode = self.mdp.begin(self._sim, self._episode, mask)
+        self._episode = self.mdp.begin(self._sim, self._episode, mask, start.bin)
         if self._random_phase and not self._begun:
             longest = self.mdp.context.episode_steps
             self._episode.step = torch.randint(longest, (self.num_worlds,), generator=self.generator)
         self._begun = True
+
+    def place_starts(self, place: Place) -> None:
+        """Let a curriculum choose where starts are, from the next start that is drawn on.
+
+        Args:
+            place: Draws places; what it does not say follows the task's start settings. Call again when its choice changes,
+                as starts are drawn ahead.
+        """
+        self._place = place
+        self._queue = StartQueue(self.task.make_sampler(place), max(self.num_worlds, 1024), self.generator)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict["action"]
@@ -138,7 +156,8 @@ class MountEnv(EnvBase):
         self._sim = self.physics.state()
         outcome = self.mdp.advance(self._sim, self._episode, action, self.physics.diverged())
         done = outcome.terminated | outcome.truncated
-        self.statistics.add(self._episode, outcome, done)
+        for listener in self.listeners:
+            listener(self._episode, outcome, done)
         result = self._observation(outcome.succeeded)
         result["reward"] = outcome.reward.unsqueeze(1)
         result["done"] = done.unsqueeze(1)

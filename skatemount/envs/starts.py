@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
+from skatemount.envs.entities.skateboard_config import SkateboardConfig
 from skatemount.envs.geometry import quat_from_euler, quat_to_matrix, rotate
 from skatemount.envs.legs import Legs
 from skatemount.envs.physics.base import WorldStart
@@ -16,6 +19,7 @@ from skatemount.errors import ConfigError
 _CAPSULE_RADIUS = 0.02
 _ALONG = torch.linspace(0.0, 1.0, 6)
 _ROUNDS = 40
+_MAX_TILT = 0.5
 
 
 def _zero() -> list[float]:
@@ -31,8 +35,8 @@ class StartConfig:
         y: Trunk left of the deck's centre, m.
         both_sides: Draw the side of ``y`` anew for each start.
         yaw: Heading of the trunk in the board frame, rad.
-        roll: Trunk, rad.
-        pitch: Trunk, rad.
+        roll: Trunk, rad, within 0.5 of upright.
+        pitch: Trunk, rad, likewise.
         height: Trunk above where its feet stand, m: the robot is dropped from there.
         lin_vel: Each axis of the trunk's velocity, m/s.
         ang_vel: Each axis of the trunk's angular velocity, rad/s.
@@ -66,33 +70,92 @@ class StartConfig:
     def validate(self, where: str = "start") -> None:
         """Raise `ConfigError` for ranges that cannot be drawn from."""
         for name, value in vars(self).items():
-            if isinstance(value, list) and not (len(value) == 2 and value[0] <= value[1]):
+            if not isinstance(value, list):
+                continue
+            if not (len(value) == 2 and value[0] <= value[1] and all(math.isfinite(bound) for bound in value)):
                 raise ConfigError(f"{where}.{name}={value} must be a range [low, high] with low <= high")
         if not 0.0 <= self.board_fixed <= 1.0:
             raise ConfigError(f"{where}.board_fixed={self.board_fixed} must be a share between 0 and 1")
+        for name in ("roll", "pitch"):
+            low, high = getattr(self, name)
+            if max(-low, high) > _MAX_TILT:
+                raise ConfigError(
+                    f"{where}.{name}={[low, high]} must be within -{_MAX_TILT} and {_MAX_TILT} rad: tilted farther the "
+                    "robot touches the ground with more than its feet"
+                )
+        if self.height[0] < 0:
+            raise ConfigError(
+                f"{where}.height={self.height} must be 0 or more, in metres: lower would be in the ground"
+            )
         if self.edge_margin < 0:
             raise ConfigError(f"{where}.edge_margin={self.edge_margin} must be 0 or more, in metres")
+
+
+@dataclass
+class Placement:
+    """Where starts are.
+
+    Attributes:
+        xy: ``[N, 2]`` trunk in the board frame, m.
+        yaw: ``[N]`` heading in the board frame, rad.
+        step_height: ``[N]`` deck above the robot's floor, m.
+        board_fixed: ``[N]`` bool.
+        bin: ``[N]`` int64, the part of a curriculum that a start belongs to, -1 for none.
+    """
+
+    xy: Tensor
+    yaw: Tensor
+    step_height: Tensor
+    board_fixed: Tensor
+    bin: Tensor
+
+
+Place = Callable[[int, torch.Generator], Placement]
 
 
 class StartSampler:
     """Draws start states that touch nothing they should not.
 
     Feet stand on the ground or on the deck, whichever is under them: leg kinematics puts each foot at its support's
-    height, then the trunk is raised until the lowest foot touches. Candidates with a foot near the deck's edge, or
-    with a thigh or calf inside the deck, are dropped.
+    height, then the trunk is raised until the lowest foot touches. A joint that this takes beyond its soft limits
+    stops there. Candidates with a foot near the deck's edge, or with a thigh or calf inside board or ground, are
+    dropped.
 
     Args:
         config: Ranges.
         legs: Kinematics.
         context: Constants of the task.
+        board: The board.
+        place: Draws where starts are; by the ranges if none.
+
+    Raises:
+        ConfigError: A range that cannot be drawn from.
     """
 
-    def __init__(self, config: StartConfig, legs: Legs, context: TaskContext):
+    def __init__(
+        self,
+        config: StartConfig,
+        legs: Legs,
+        context: TaskContext,
+        board: SkateboardConfig,
+        place: Place | None = None,
+    ):
         config.validate()
+        if config.step_height is not None and not 0 <= config.step_height[0] <= config.step_height[1] <= (
+            context.deck_height
+        ):
+            raise ConfigError(
+                f"start.step_height={config.step_height} must be within 0 and the deck's height, "
+                f"{context.deck_height} m: the robot's floor can only be raised, and only up to the deck"
+            )
         self.config = config
         self._legs = legs
+        self._place = place or self._within_ranges
         self._context = context
         self._deck = torch.tensor(context.deck_half)
+        # The wheels of a narrow board stick out from under its deck.
+        wheels = (board.wheelbase / 2 + board.wheel_radius, board.track / 2 + board.wheel_radius)
+        self._board = torch.maximum(self._deck, torch.tensor(wheels))
         self._nominal_feet = legs.feet(context.default_pose)
 
     def draw(self, count: int, generator: torch.Generator) -> WorldStart:
@@ -122,21 +185,29 @@ class StartSampler:
             f"{_ROUNDS * count} candidates keep every foot {c.edge_margin} m off the deck's edge; widen them"
         )
 
-    def _candidates(self, n: int, generator: torch.Generator) -> tuple[WorldStart, Tensor]:
-        c, context = self.config, self._context
-
-        def uniform(bounds: list[float], *shape: int) -> Tensor:
-            low, high = bounds
-            return low + (high - low) * torch.rand(n, *shape, generator=generator)
-
-        xy = torch.stack((uniform(c.x), uniform(c.y)), 1)
+    def _within_ranges(self, n: int, generator: torch.Generator) -> Placement:
+        c, deck = self.config, self._context.deck_height
+        xy = torch.stack((_uniform(c.x, generator, n), _uniform(c.y, generator, n)), 1)
         if c.both_sides:
             xy[:, 1] *= torch.where(torch.rand(n, generator=generator) < 0.5, -1.0, 1.0)
-        yaw = uniform(c.yaw)
-        quat = quat_from_euler(uniform(c.roll), uniform(c.pitch), yaw)
-        deck = torch.full((n,), context.deck_height)
-        ground = torch.zeros(n) if c.step_height is None else deck - uniform(c.step_height)
+        step = torch.full((n,), deck) if c.step_height is None else _uniform(c.step_height, generator, n)
+        return Placement(
+            xy=xy,
+            yaw=_uniform(c.yaw, generator, n),
+            step_height=step,
+            board_fixed=torch.rand(n, generator=generator) < c.board_fixed,
+            bin=torch.full((n,), -1),
+        )
 
+    def _candidates(self, n: int, generator: torch.Generator) -> tuple[WorldStart, Tensor]:
+        c, context = self.config, self._context
+        place = self._place(n, generator)
+        xy, yaw, ground = place.xy, place.yaw, context.deck_height - place.step_height
+
+        def uniform(bounds: list[float], *shape: int) -> Tensor:
+            return _uniform(bounds, generator, n, *shape)
+
+        quat = quat_from_euler(uniform(c.roll), uniform(c.pitch), yaw)
         heading = quat_to_matrix(quat_from_euler(torch.zeros(n), torch.zeros(n), yaw))
         nominal = self._nominal_feet.expand(n, 4, 3)
         support = self._support(rotate(heading, nominal)[..., :2] + xy.unsqueeze(1), ground)
@@ -144,6 +215,7 @@ class StartSampler:
         feet = nominal.clone()
         feet[..., 2] = support + context.foot_radius - trunk.unsqueeze(1)
         joints = self._legs.joints(feet) + uniform(c.joint_pos, 12)
+        joints = joints.clamp(context.soft_limits[:, 0], context.soft_limits[:, 1])
 
         rotation = quat_to_matrix(quat)
         offset = torch.cat((xy, trunk.unsqueeze(1)), 1)
@@ -156,7 +228,8 @@ class StartSampler:
         offset[:, 2] += lift
         world[..., 2] += lift[:, None, None]
 
-        valid = ~self._near_edge(world[:, :, -1, :2]).any(1) & ~self._inside_deck(world[:, :, :-1]).any((1, 2))
+        free = ~self._inside(world[:, :, :-1], ground).any((1, 2))
+        valid = free & ~self._near_edge(world[:, :, -1, :2]).any(1)
         start = WorldStart(
             base_pos=offset,
             base_quat=quat,
@@ -165,7 +238,8 @@ class StartSampler:
             joint_pos=joints,
             joint_vel=uniform(c.joint_vel, 12),
             ground_height=ground,
-            board_fixed=torch.rand(n, generator=generator) < c.board_fixed,
+            board_fixed=place.board_fixed,
+            bin=place.bin,
             force=uniform(c.force, 3),
             torque=uniform(c.torque, 3),
         )
@@ -177,13 +251,19 @@ class StartSampler:
 
     def _near_edge(self, xy: Tensor) -> Tensor:
         margin = self.config.edge_margin
-        outer = (xy.abs() < self._deck + self._context.foot_radius + margin).all(-1)
+        outer = (xy.abs() < self._board + self._context.foot_radius + margin).all(-1)
         inner = (xy.abs() < self._deck - margin).all(-1)
         return outer & ~inner
 
-    def _inside_deck(self, points: Tensor) -> Tensor:
-        within = (points[..., :2].abs() < self._deck + _CAPSULE_RADIUS).all(-1)
-        return within & (points[..., 2] < self._context.deck_height + _CAPSULE_RADIUS)
+    def _inside(self, points: Tensor, ground: Tensor) -> Tensor:
+        over = (points[..., :2].abs() < self._board + _CAPSULE_RADIUS).all(-1)
+        support = torch.where(over, self._context.deck_height, ground[:, None, None])
+        return points[..., 2] < support + _CAPSULE_RADIUS
+
+
+def _uniform(bounds: list[float], generator: torch.Generator, *shape: int) -> Tensor:
+    low, high = bounds
+    return low + (high - low) * torch.rand(*shape, generator=generator)
 
 
 class StartQueue:
@@ -194,7 +274,7 @@ class StartQueue:
 
     Args:
         sampler: Where starts come from.
-        size: How many are drawn at a time; at least the number of worlds.
+        size: How many are drawn at a time.
         generator: Source of randomness.
     """
 
@@ -203,11 +283,7 @@ class StartQueue:
         self._size = size
         self._generator = generator
         self._starts: WorldStart | None = None
-        self._next = size
-
-    def clear(self) -> None:
-        """Forget what was drawn ahead, so that the next start follows the sampler's present settings."""
-        self._starts, self._next = None, self._size
+        self._next = 0
 
     def take(self, mask: Tensor) -> WorldStart:
         """One start for each world of the mask.
@@ -219,8 +295,11 @@ class StartQueue:
             ``[N]`` starts; rows outside the mask are of no use.
         """
         count = int(mask.sum())
-        if self._starts is None or self._next + count > self._size:
-            self._starts, self._next = self._sampler.draw(self._size, self._generator), 0
-        rows = (self._next + mask.cumsum(0) - 1).clamp(0, self._size - 1)
+        while self._starts is None or self._next + count > len(self._starts):
+            more = self._sampler.draw(self._size, self._generator)
+            # What is left is taken first: no start is skipped, whichever worlds ask for how many.
+            self._starts = more if self._starts is None else WorldStart.cat([self._starts[self._next :], more])
+            self._next = 0
+        rows = (self._next + mask.cumsum(0) - 1).clamp(0, len(self._starts) - 1)
         self._next += count
         return self._starts[rows]

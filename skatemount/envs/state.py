@@ -148,12 +148,15 @@ class EpisodeState:
         off_time: ``[N, 4]`` seconds since the foot last pressed on the deck.
         touchdown: ``[N, 4]`` bool, the foot began to touch anything in this step.
         touching: ``[N, 4]`` bool, the foot touches anything now.
+        steadiness: ``[N]`` share of the feet over the deck and close to it, none elsewhere, upright, averaged over about
+            the last third of a second: a success that exploration noise does not hide.
         mounted: ``[N]`` bool, the robot stands on the board (see `skatemount.envs.success`).
         mounted_time: ``[N]`` seconds that it has stood there without a break.
         first_contact: ``[N]`` seconds from the start to the first foot-deck contact; infinite before it.
         distance: ``[N]`` horizontal distance from the trunk to the deck's centre, m.
         previous_distance: ``[N]`` the same one step ago.
         terminated: ``[N]`` bool, a termination ended the episode in this step.
+        bin: ``[N]`` int64, the part of a curriculum that the start came from, -1 for none.
         start: ``[N, 3]`` x, y and yaw of the trunk in the board's frame at the start, m and rad.
     """
 
@@ -167,12 +170,14 @@ class EpisodeState:
     off_time: Tensor
     touchdown: Tensor
     touching: Tensor
+    steadiness: Tensor
     mounted: Tensor
     mounted_time: Tensor
     first_contact: Tensor
     distance: Tensor
     previous_distance: Tensor
     terminated: Tensor
+    bin: Tensor
     start: Tensor
 
     @classmethod
@@ -191,12 +196,14 @@ class EpisodeState:
             off_time=torch.full((n, 4), torch.inf),
             touchdown=f(n, 4, dtype=torch.bool),
             touching=f(n, 4, dtype=torch.bool),
+            steadiness=f(n),
             mounted=f(n, dtype=torch.bool),
             mounted_time=f(n),
             first_contact=torch.full((n,), torch.inf),
             distance=f(n),
             previous_distance=f(n),
             terminated=f(n, dtype=torch.bool),
+            bin=torch.full((n,), -1),
             start=f(n, 3),
             batch_size=[n],
         )

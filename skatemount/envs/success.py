@@ -64,6 +64,21 @@ def is_mounted(sim: SimState, off_time: Tensor) -> Tensor:
     return feet & clean & level
 
 
+def nearly_mounted(sim: SimState, deck_half: tuple[float, float], foot_radius: float) -> Tensor:
+    """Share of the feet over the deck and at most 2 cm above it, 0 with a foot elsewhere or tilted, ``[N]``.
+
+    Args:
+        sim: The state.
+        deck_half: Half length and half width of the deck, m.
+        foot_radius: m.
+    """
+    position = sim.foot_pos_board
+    over = (position[..., :2].abs() < torch.tensor(deck_half)).all(-1)
+    near = over & (position[..., 2] > 0.0) & (position[..., 2] < foot_radius + 0.02)
+    sound = ~feet_elsewhere(sim).any(-1) & (-sim.gravity[:, 2] > math.cos(MAX_TRUNK_TILT))
+    return near.float().mean(-1) * sound
+
+
 def stood(episode: EpisodeState, control_step: float) -> Tensor:
     """Whether the robot was mounted throughout the last second, ``[N]`` bool.
 

@@ -20,7 +20,7 @@ from skatemount.envs.physics.base import WorldStart
 from skatemount.envs.randomization import Randomizer
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.settings import TaskConfig
-from skatemount.envs.starts import StartSampler
+from skatemount.envs.starts import Place, StartSampler
 from skatemount.envs.state import EpisodeState, SimState, StateReader
 
 
@@ -69,9 +69,14 @@ class MountTask(composer.Task):
         """The task's mathematics with a source of randomness of its own."""
         return Mdp(self.config, self.scene, generator)
 
-    def make_sampler(self) -> StartSampler:
-        """The source of start states."""
-        return StartSampler(self.config.start, Legs(self.scene.robot.kinematics), self._mdp.context)
+    def make_sampler(self, place: Place | None = None) -> StartSampler:
+        """The source of start states.
+
+        Args:
+            place: Draws where they are; by the start settings' ranges if none.
+        """
+        scene, legs = self.scene, Legs(self.scene.robot.kinematics)
+        return StartSampler(self.config.start, legs, self._mdp.context, scene.board.config, place)
 
     @property
     def root_entity(self) -> composer.Arena:

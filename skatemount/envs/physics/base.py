@@ -116,6 +116,7 @@ class WorldStart:
         board_fixed: ``[N]`` bool.
         force: ``[N, 3]`` constant force on the trunk for the episode, world, N.
         torque: ``[N, 3]`` constant torque on the trunk, world, N m.
+        bin: ``[N]`` int64, the part of a curriculum that the start comes from, -1 for none; no engine looks at it.
     """
 
     base_pos: Tensor
@@ -128,6 +129,7 @@ class WorldStart:
     board_fixed: Tensor
     force: Tensor
     torque: Tensor
+    bin: Tensor
 
     def __getitem__(self, rows: Tensor | slice) -> WorldStart:
         """The starts of some rows."""

@@ -1,0 +1,207 @@
+"""How fast the batched environment is, next to raw physics and to what one would use without it, in one run.
+
+    python benchmarks/environment_speed.py --worlds 1024 --seconds 8
+
+Prints environment steps a second (one step: one action of one world) and ratios:
+
+* raw: `mujoco.batch` stepping the same model with the same controls and nothing else (resets, observations, rewards);
+* MountEnv: `step_and_maybe_reset` with actions at hand;
+* ParallelEnv: TorchRL's, one composer world a process;
+* numpy loop: one composer world a process, no TorchRL at all.
+
+Every figure is the best of several rounds that take turns, so that a machine's slow moments hit all alike.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from dm_control import composer
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase, ParallelEnv
+
+from skatemount.envs import MountEnv, MountTask
+from skatemount.envs.physics.cpu import available_cores
+
+ACTION_SCALE = 0.3
+"""Of the random actions: the robot stumbles about on the board, as in early training."""
+
+
+class ComposerWorld(EnvBase):
+    """The composer task as a TorchRL environment of one world, the straightforward way."""
+
+    def __init__(self, stage: str, seed: int):
+        super().__init__(device=torch.device("cpu"))
+        self._env = composer.Environment(
+            MountTask(stage=stage),
+            random_state=seed,
+            recompile_mjcf_every_episode=False,
+            strip_singleton_obs_buffer_dim=True,
+        )
+        spec = self._env.action_spec()
+        observations = {k: Unbounded(v.shape) for k, v in self._env.observation_spec().items()}
+        self.observation_spec = Composite(**observations)
+        self.action_spec = Bounded(float(spec.minimum), float(spec.maximum), shape=spec.shape, dtype=torch.float32)
+        self.reward_spec = Unbounded((1,))
+        self.full_done_spec = Composite(
+            {k: Binary(n=1, shape=(1,), dtype=torch.bool) for k in ("done", "terminated", "truncated")}
+        )
+
+    def _observation(self, step: Any) -> dict[str, torch.Tensor]:
+        return {k: torch.as_tensor(np.asarray(v), dtype=torch.float32) for k, v in step.observation.items()}
+
+    def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
+        return TensorDict(self._observation(self._env.reset()), [])
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        step = self._env.step(tensordict["action"].numpy())
+        terminated = step.last() and step.discount == 0.0
+        done = torch.tensor([step.last()])
+        values = self._observation(step) | {
+            "reward": torch.tensor([step.reward], dtype=torch.float32),
+            "done": done,
+            "terminated": torch.tensor([terminated]),
+            "truncated": done & ~torch.tensor([terminated]),
+        }
+        return TensorDict(values, [])
+
+    def _set_seed(self, seed: int | None) -> None:
+        pass
+
+
+class Raw:
+    """Physics alone, from states that the environment came through."""
+
+    def __init__(self, env: MountEnv):
+        self._physics = env.physics
+        self._substeps = env.task.config.physics.substeps
+        env.reset()
+        self._states, self._targets = [], []
+        data = TensorDict({"action": torch.zeros(env.num_worlds, 12)}, [env.num_worlds])
+        for _ in range(40):
+            data["action"] = ACTION_SCALE * torch.randn(env.num_worlds, 12)
+            self._states.append(env.physics.raw_state())
+            self._targets.append(env.mdp.targets(data["action"]).numpy().astype(np.float64))
+            _, data = env.step_and_maybe_reset(data)
+
+    def run(self, seconds: float) -> float:
+        """Environment steps a second; the states are put back outside of the clock."""
+        batch, spent, steps, i = self._physics._batch, 0.0, 0, 0
+        while spent < seconds:
+            state, targets = self._states[i % 40], self._targets[i % 40]
+            batch.state[:] = state
+            start = time.perf_counter()
+            batch.ctrl[:] = targets
+            batch.step(nstep=self._substeps, stage=mujoco.mjtStage.mjSTAGE_VEL.value)
+            spent += time.perf_counter() - start
+            steps += batch.nsim
+            i += 1
+        return steps / spent
+
+
+def mount_env(env: MountEnv) -> Callable[[float], float]:
+    """MountEnv with auto-reset."""
+    actions = [ACTION_SCALE * torch.randn(env.num_worlds, 12) for _ in range(16)]
+
+    def run(seconds: float) -> float:
+        data, steps, start = env.reset(), 0, time.perf_counter()
+        while time.perf_counter() - start < seconds:
+            data["action"] = actions[steps % 16]
+            _, data = env.step_and_maybe_reset(data)
+            steps += 1
+        return steps * env.num_worlds / (time.perf_counter() - start)
+
+    return run
+
+
+def parallel_env(env: ParallelEnv, processes: int) -> Callable[[float], float]:
+    """ParallelEnv with auto-reset."""
+
+    def run(seconds: float) -> float:
+        data, steps, start = env.reset(), 0, time.perf_counter()
+        while time.perf_counter() - start < seconds:
+            data["action"] = ACTION_SCALE * torch.randn(processes, 12)
+            _, data = env.step_and_maybe_reset(data)
+            steps += 1
+        return steps * processes / (time.perf_counter() - start)
+
+    return run
+
+
+def _loop(job: tuple[str, int, float]) -> tuple[int, float]:
+    stage, seed, seconds = job
+    torch.set_num_threads(1)
+    env = composer.Environment(MountTask(stage=stage), random_state=seed, recompile_mjcf_every_episode=False)
+    rng = np.random.default_rng(seed)
+    step = env.reset()
+    steps, start = 0, time.perf_counter()
+    while time.perf_counter() - start < seconds:
+        step = env.step(ACTION_SCALE * rng.standard_normal(12))
+        if step.last():
+            env.reset()
+        steps += 1
+    return steps, time.perf_counter() - start
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--stage", default="balance")
+    parser.add_argument("--worlds", type=int, default=1024)
+    parser.add_argument("--seconds", type=float, default=8.0, help="for each figure and round")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--json", type=Path, help="file for the figures")
+    options = parser.parse_args()
+    cores = available_cores()
+    torch.manual_seed(0)
+    torch.set_num_threads(cores)
+
+    env = MountEnv(MountTask(stage=options.stage), num_worlds=options.worlds)
+    pool = ParallelEnv(cores, [_maker(options.stage, i) for i in range(cores)])
+    workers = multiprocessing.get_context("spawn").Pool(cores)
+
+    def numpy_loop(seconds: float) -> float:
+        done = workers.map(_loop, [(options.stage, i, seconds) for i in range(cores)], chunksize=1)
+        return sum(steps / spent for steps, spent in done)
+
+    runs = {
+        "raw": Raw(env).run,
+        "MountEnv": mount_env(env),
+        "ParallelEnv": parallel_env(pool, cores),
+        "numpy loop": numpy_loop,
+    }
+    for run in runs.values():
+        run(1.0)
+    best = dict.fromkeys(runs, 0.0)
+    for _ in range(options.rounds):
+        for name, run in runs.items():
+            best[name] = max(best[name], run(options.seconds))
+    workers.terminate()
+    pool.close()
+    env.close()
+
+    print(
+        f"{options.stage}, {options.worlds} worlds, {cores} cores; environment steps a second, best of {options.rounds}"
+    )
+    for name, value in best.items():
+        print(f"  {name:12s} {value:10,.0f}   MountEnv is {best['MountEnv'] / value:.2f} x this")
+    if options.json:
+        options.json.write_text(json.dumps({"worlds": options.worlds, "cores": cores, "steps_per_s": best}, indent=2))
+
+
+def _maker(stage: str, seed: int) -> Callable[[], EnvBase]:
+    return lambda: ComposerWorld(stage, seed)
+
+
+if __name__ == "__main__":
+    main()

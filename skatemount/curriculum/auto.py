@@ -1,0 +1,150 @@
+"""The automatic reverse curriculum: a grid of start bins that opens outwards from the goal.
+
+After Florensa et al., "Reverse Curriculum Generation for Reinforcement Learning" (2017): practise where success is neither
+rare nor sure, go on practising what is solved, and step outwards from there. Bins instead of sampled states keep an estimate
+of success that can be looked at.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from skatemount.curriculum.base import CurriculumConfig
+from skatemount.envs.mdp import Outcome
+from skatemount.envs.starts import Placement
+from skatemount.envs.state import EpisodeState
+
+_LOWEST_STEP = 0.02
+
+
+class AutoCurriculum:
+    """Chooses the bins that starts are drawn from, and learns from how the episodes ended.
+
+    Bins are indexed ``[distance, heading, height, free]``, flattened.
+
+    Args:
+        config: The grid and the thresholds.
+        deck_height: The board's own step height, m.
+
+    Attributes:
+        trials: ``[bins]`` recent episodes.
+        successes: ``[bins]`` recent soft successes.
+        opened: ``[bins]`` bool.
+    """
+
+    def __init__(self, config: CurriculumConfig, deck_height: float):
+        config.validate()
+        self.config = config
+        self._deck_height = deck_height
+        self.shape = (len(config.distances), len(config.headings), len(config.heights), 2)
+        bins = math.prod(self.shape)
+        self.trials, self.successes = torch.zeros(bins), torch.zeros(bins)
+        self.opened = torch.zeros(bins, dtype=torch.bool)
+        self.opened[0] = True
+
+    def place(self, n: int, generator: torch.Generator) -> Placement:
+        """Draw bins, and a place within each.
+
+        Args:
+            n: How many.
+            generator: Source of randomness.
+        """
+        bins = torch.multinomial(self.weights(), n, replacement=True, generator=generator)
+        ring, heading, height, free = torch.unravel_index(bins, self.shape)
+
+        def within(edges: list[float], index: Tensor, lowest: float) -> Tensor:
+            bounds = torch.tensor([lowest, *edges])
+            share = torch.rand(n, generator=generator)
+            return bounds[index] + (bounds[index + 1] - bounds[index]) * share
+
+        c = self.config
+        reach = within(c.distances, ring, 0.0)
+        # A point on the border of the square of that half side.
+        along = 2 * torch.rand(n, generator=generator) - 1
+        side = torch.randint(4, (n,), generator=generator)
+        sign = torch.where(side % 2 == 0, 1.0, -1.0)
+        first, second = sign * reach, along * reach
+        xy = torch.where((side < 2).unsqueeze(1), torch.stack((first, second), 1), torch.stack((second, first), 1))
+
+        error = torch.deg2rad(within(c.headings, heading, 0.0))
+        turned = torch.where(torch.rand(n, generator=generator) < 0.5, -error, error)
+        # A board has no front: half of the starts face the other way.
+        yaw = turned + math.pi * (torch.rand(n, generator=generator) < 0.5)
+        step = within(c.heights, height, _LOWEST_STEP)
+        step = torch.where(height == self.shape[2] - 1, self._deck_height, step)
+        return Placement(xy=xy, yaw=yaw, step_height=step, board_fixed=free == 0, bin=bins)
+
+    def rates(self) -> Tensor:
+        """Estimated success of each bin, ``[bins]``; a half where nothing is known."""
+        return (self.successes + 1) / (self.trials + 2)
+
+    def weights(self) -> Tensor:
+        """How often each bin is drawn, ``[bins]``, summing to 1."""
+        rate = self.rates()
+        learning = (4 * rate * (1 - rate)).clamp(min=0.05) * self.opened
+        alike = self.opened.to(rate.dtype)
+        replay = self.config.replay
+        return (1 - replay) * learning / learning.sum() + replay * alike / alike.sum()
+
+    def record(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
+        """Learn from the episodes that ended in a step.
+
+        Args:
+            episode: The episodes.
+            outcome: What the step led to.
+            done: ``[N]`` bool.
+        """
+        ended = done & (episode.bin >= 0)
+        if not ended.any():
+            return
+        bins = episode.bin[ended]
+        good = (outcome.truncated & (episode.steadiness > 0.85))[ended]
+        self.trials.index_add_(0, bins, torch.ones(len(bins)))
+        self.successes.index_add_(0, bins, good.to(torch.float32))
+
+    def update(self) -> None:
+        """Forget what is long ago, and open bins next to solved ones."""
+        fade = (self.config.memory / self.trials.clamp(min=1e-6)).clamp(max=1.0)
+        self.trials *= fade
+        self.successes *= fade
+        solved = self.solved().view(self.shape)
+        opened = self.opened.view(self.shape)
+        for axis in range(3):
+            here = solved.narrow(axis, 0, self.shape[axis] - 1)
+            opened.narrow(axis, 1, self.shape[axis] - 1).logical_or_(here)
+        ring = next((i for i, d in enumerate(self.config.distances) if d >= self.config.free_after), -1)
+        if bool(solved[ring, :, -1, 0].any()):
+            opened[..., 1] |= solved[..., 0]
+
+    def solved(self) -> Tensor:
+        """Which bins are solved, ``[bins]`` bool."""
+        return self.opened & (self.trials >= self.config.least) & (self.rates() >= self.config.solved)
+
+    def metrics(self) -> dict[str, float]:
+        """Where the curriculum is, under the field's metric names."""
+        rate, solved = self.rates().view(self.shape), self.solved().view(self.shape)
+        metrics = {
+            "Curriculum/bins_open": float(self.opened.sum()) / len(self.opened),
+            "Curriculum/bins_solved": float(solved.sum()) / solved.numel(),
+        }
+        for free, name in enumerate(("fixed", "free")):
+            full = solved[:, :, -1, free].any(1)
+            reach = max((d for d, s in zip(self.config.distances, full.tolist()) if s), default=0.0)
+            metrics[f"Curriculum/frontier_{name}"] = reach
+            known = self.trials.view(self.shape)[:, :, -1, free] >= self.config.least
+            if bool(known.any()):
+                metrics[f"Curriculum/success_{name}"] = float(rate[:, :, -1, free][known].mean())
+        return metrics
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint needs."""
+        return {"trials": self.trials, "successes": self.successes, "opened": self.opened}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Restore what `state_dict` returned."""
+        self.trials, self.successes = state["trials"].clone(), state["successes"].clone()
+        self.opened = state["opened"].clone()
