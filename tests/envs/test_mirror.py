@@ -125,15 +125,14 @@ def test_mirrored_worlds_stay_mirrored(fixed: bool, where: list[str]) -> None:
             values = table(sim, episode)
             one, other = apply(table.mirror(), values[0]), values[1]
             torch.testing.assert_close(other, one, atol=1e-4, rtol=1e-4, msg=lambda m, n=name, s=step: f"{n} {s}: {m}")
-        if step:
-            shares = rewards(sim, episode)
-            torch.testing.assert_close(shares[:, 1], shares[:, 0], atol=1e-4, rtol=1e-3)
-            assert torch.equal(outcome.ends[:, 0], outcome.ends[:, 1])
         touched |= episode.touching[0]
         action = torch.randn(1, 12, generator=generator)
         actions = torch.cat((action, apply(joints, action)))
         physics.step(mdp.targets(actions), config.physics.substeps)
         sim = physics.state()
         outcome = mdp.advance(sim, episode, actions, physics.diverged())
+        shares = rewards(sim, episode)
+        torch.testing.assert_close(shares[:, 1], shares[:, 0], atol=1e-4, rtol=1e-3)
+        assert torch.equal(outcome.ends[:, 0], outcome.ends[:, 1])
     assert touched.all()  # it did meet ground or deck
     physics.close()
