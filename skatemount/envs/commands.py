@@ -48,6 +48,8 @@ class CommandConfig:
             raise ConfigError(f"{where}.resample={self.resample} must be above 0 seconds")
         if not 0 <= self.standing <= 1:
             raise ConfigError(f"{where}.standing={self.standing} must be a share between 0 and 1")
+        if self.deadband < 0:
+            raise ConfigError(f"{where}.deadband={self.deadband} must be 0 or more, in m/s")
 
 
 def toward_board(sim: SimState) -> Tensor:

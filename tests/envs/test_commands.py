@@ -1,0 +1,131 @@
+"""Velocity commands: the law toward the board, and sampled ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from skatemount.envs.commands import CommandConfig, Commander, toward_board
+from skatemount.envs.state import EpisodeState, SimState
+from skatemount.errors import ConfigError
+
+MakeState = Callable[..., SimState]
+STEP = 0.04
+
+
+def commander(generator: torch.Generator | None = None, **settings: object) -> Commander:
+    return Commander(CommandConfig(**settings), STEP, generator or torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize(
+    ("place", "yaw", "expected"),
+    [
+        # Within half a metre: twice the way to it, and its yaw over pi.
+        ((0.3, -0.2), 0.6, (0.6, -0.4, 0.6 / math.pi)),
+        ((0.0, 0.0), -3.0, (0.0, 0.0, -3.0 / math.pi)),
+        ((-0.29, 0.4), math.pi / 2, (-0.58, 0.8, 0.5)),
+        # Farther: slower the more it has to turn, and no sidestep; the board's yaw does not count.
+        ((0.6, 0.0), 0.6, (1.0, 0.0, 0.0)),
+        ((0.0, 1.0), 2.0, (0.5, 0.0, 0.5)),
+        ((-1.0, -1.0), -2.0, (0.25, 0.0, -0.75)),
+        ((0.31, 0.4), 0.6, (1 - math.atan2(0.4, 0.31) / math.pi, 0.0, math.atan2(0.4, 0.31) / math.pi)),
+    ],
+)
+@pytest.mark.parametrize("heading", [0.0, 2.5])
+def test_toward_board(
+    place: tuple[float, float], yaw: float, expected: tuple[float, ...], heading: float, make_state: MakeState
+) -> None:
+    """Place and yaw of the board are relative to the trunk, wherever that is and looks."""
+    c, s = math.cos(heading), math.sin(heading)
+    board = (1.0 + c * place[0] - s * place[1], 2.0 + s * place[0] + c * place[1], 0.088)
+    sim = make_state(base=(1.0, 2.0, 0.3), base_rpy=(0, 0, heading), board=board, board_rpy=(0, 0, heading + yaw))
+    assert toward_board(sim)[0].tolist() == pytest.approx(expected, abs=2e-6)
+
+
+def test_modes(make_state: MakeState) -> None:
+    sim = make_state(base=(-1.0, 0.0, 0.3))
+    episode = EpisodeState.zeros(1)
+    commander(mode="zero").update(sim, episode)
+    assert episode.command.tolist() == [[0, 0, 0]]
+    commander(mode="board").update(sim, episode)
+    assert episode.command[0].tolist() == pytest.approx([1, 0, 0], abs=1e-6)
+
+
+RANGES = dict(forward=[-0.4, 1.0], left=[0.1, 0.3], turn=[-0.5, 0.7])
+
+
+def sampled(n: int, **settings: object) -> torch.Tensor:
+    episode = EpisodeState.zeros(n)
+    commander(mode="sampled", **settings).update(None, episode)
+    return episode.command
+
+
+def test_sampled_ranges() -> None:
+    command = sampled(5000, **RANGES, standing=0.0, deadband=0.0)
+    for i, (low, high) in enumerate(RANGES.values()):
+        values = command[:, i]
+        assert low <= float(values.min()) < low + 0.01 and high - 0.01 < float(values.max()) <= high
+        assert float(values.mean()) == pytest.approx((low + high) / 2, abs=0.03)
+
+
+def test_deadband_sets_slow_velocities_to_zero_and_keeps_the_turn() -> None:
+    command = sampled(5000, **RANGES, standing=0.0, deadband=0.25)
+    speed = command[:, :2].norm(dim=1)
+    slow = speed < 0.25
+    assert 0.05 < float(slow.float().mean()) < 0.5
+    assert bool((speed[slow] == 0).all())
+    assert float(command[slow, 2].std()) > 0.2
+
+
+def test_standing_share() -> None:
+    command = sampled(5000, **RANGES, standing=0.3, deadband=0.0)
+    standing = (command == 0).all(1)
+    assert float(standing.float().mean()) == pytest.approx(0.3, abs=0.03)
+    assert bool((sampled(100, standing=1.0) == 0).all())
+
+
+def test_commands_are_drawn_anew_after_the_period() -> None:
+    """Each world counts its own time, and in between nothing changes."""
+    one = commander(mode="sampled", standing=0.0, deadband=0.0, resample=0.2)  # 5 control steps
+    episode = EpisodeState.zeros(3)
+    episode.command_steps = torch.tensor([0, 2, 4])
+    seen = []
+    for _ in range(12):
+        one.update(None, episode)
+        seen.append(episode.command.clone())
+    for world, first in enumerate((0, 2, 4)):
+        changed = [t for t in range(1, 12) if not torch.equal(seen[t][world], seen[t - 1][world])]
+        assert changed == [t for t in range(first, 12, 5) if t > 0]
+
+
+def test_same_seed_same_commands() -> None:
+    def draw(seed: int) -> torch.Tensor:
+        episode = EpisodeState.zeros(8)
+        commander(torch.Generator().manual_seed(seed), mode="sampled").update(None, episode)
+        return episode.command
+
+    assert torch.equal(draw(3), draw(3))
+    assert not torch.equal(draw(3), draw(4))
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        (dict(mode="follow"), ["command.mode=follow", "sampled, board, zero"]),
+        (dict(forward=[1.0, -1.0]), ["command.forward=[1.0, -1.0]", "low <= high"]),
+        (dict(turn=[1.0]), ["command.turn=[1.0]", "[low, high]"]),
+        (dict(resample=0.0), ["command.resample=0.0", "above 0"]),
+        (dict(standing=1.5), ["command.standing=1.5", "between 0 and 1"]),
+        (dict(deadband=-0.1), ["command.deadband=-0.1", "0 or more"]),
+    ],
+)
+def test_bad_settings_are_one_clear_line(settings: dict, expected: list[str]) -> None:
+    with pytest.raises(ConfigError) as error:
+        CommandConfig(**settings).validate()
+    message = str(error.value)
+    assert "\n" not in message
+    for text in expected:
+        assert text in message
