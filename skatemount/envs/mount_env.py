@@ -131,6 +131,7 @@ class MountEnv(EnvBase):
         start = self._queue.take(mask)
         self.physics.reset(mask, start)
         self._pushes.restart(mask)
+        self.statistics.restart(mask)
         self._sim = self.physics.state()
         self._episode = self.mdp.begin(self._sim, self._episode, mask, start.bin)
         if self._random_phase and not self._begun:

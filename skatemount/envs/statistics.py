@@ -29,7 +29,18 @@ class EpisodeStatistics:
         """Forget everything, the running episodes' returns included."""
         self._returns = torch.zeros(len(self._rewards), self._n)
         self._feet = torch.zeros(self._n)
+        self._steps = torch.zeros(self._n)
         self._forget()
+
+    def restart(self, mask: Tensor) -> None:
+        """Forget the running episodes of some worlds.
+
+        Args:
+            mask: ``[N]`` bool, worlds that start anew, whether their episodes had ended or not.
+        """
+        self._returns[:, mask] = 0.0
+        self._feet[mask] = 0.0
+        self._steps[mask] = 0.0
 
     def _forget(self) -> None:
         self._episodes = self._successes = self._length = self._feet_sum = self._mount_time = 0.0
@@ -47,20 +58,20 @@ class EpisodeStatistics:
         """
         self._returns += outcome.shares
         self._feet += episode.on_deck.sum(-1)
+        self._steps += 1.0
         if not done.any():
             return
         ended = done.to(torch.float32)
         self._episodes += float(ended.sum())
         self._successes += float(outcome.succeeded.sum())
         self._length += float((episode.step * done).sum())
-        self._feet_sum += float((self._feet * ended / episode.step.clamp(min=1)).sum())
+        self._feet_sum += float((self._feet * ended / self._steps).sum())
         times = success.time_to_mount(episode, self._step)
         self._mount_time += float(torch.where(outcome.succeeded, times, 0.0).sum())
         self._shares = self._shares + self._returns @ ended
         self._end_counts = self._end_counts + (outcome.ends & done).sum(1)
         self._time_outs += float(outcome.truncated.sum())
-        self._returns[:, done] = 0.0
-        self._feet[done] = 0.0
+        self.restart(done)
 
     def pop(self) -> dict[str, float]:
         """Means since the last call; nothing if no episode ended."""
