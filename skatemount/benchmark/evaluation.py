@@ -169,7 +169,7 @@ class Evaluator:
             if progress is not None:
                 progress(next(stepped), rounds * steps)
 
-        with _deterministic():
+        with deterministic():
             records = [self._round(networks, report) for _ in range(rounds)]
         env.statistics.clear()
         return self._summarise(_Records.cat(records, episodes))
@@ -196,18 +196,11 @@ class Evaluator:
                 times = success.time_to_mount(env.episode, context.control_step)
                 reached = env.episode.first_contact.isfinite()
                 times = torch.where(reached, times, torch.nan)
-                records.set(new, seen["success"].squeeze(-1), times, self._ends())
+                records.set(new, seen["success"].squeeze(-1), times, first_end(env))
             report()
         # A round is as long as the longest episode, so by now each has ended.
         records.feet = torch.where(records.end == 0, feet / last, 0.0)
         return records
-
-    def _ends(self) -> Tensor:
-        """What ends an episode in each world now, ``[N]``: 0 the time limit, i the i-th name."""
-        env = self.env
-        rows = torch.cat((env.mdp.terminations(env.sim, env.episode), env.physics.diverged().unsqueeze(0)))
-        first = rows.to(torch.int8).argmax(0) + 1
-        return torch.where(rows.any(0), first, 0)
 
     def _summarise(self, records: _Records) -> Evaluation:
         n = len(records.end)
@@ -228,6 +221,16 @@ class Evaluator:
                 "control_step": self.env.mdp.context.control_step,
             },
         )
+
+
+def first_end(env: MountEnv) -> Tensor:
+    """What ends an episode in each world now.
+
+    Returns:
+        ``[N]`` int64: 0 for nothing but the time limit, i for the i-th of ``env.mdp.end_names()``.
+    """
+    rows = torch.cat((env.mdp.terminations(env.sim, env.episode), env.physics.diverged().unsqueeze(0)))
+    return torch.where(rows.any(0), rows.to(torch.int8).argmax(0) + 1, 0)
 
 
 def evaluate_policy(
@@ -289,7 +292,7 @@ class _Records:
 
 
 @contextlib.contextmanager
-def _deterministic() -> Iterator[None]:
+def deterministic() -> Iterator[None]:
     """Mean actions, no gradients, and exact matrix products whatever training has chosen."""
     precision = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("highest")

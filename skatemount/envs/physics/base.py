@@ -96,6 +96,10 @@ class Physics(Protocol):
         """``[N]`` bool, worlds whose physics failed (not finite or out of bounds) since their last reset."""
         ...
 
+    def world(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """One world's pose with everything there is to see, to render it."""
+        ...
+
     def close(self) -> None:
         """Free the engine's memory and threads."""
         ...

@@ -1,0 +1,122 @@
+"""`python -m skatemount.record checkpoint=...`: film a policy."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Generator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from skatemount.config import Config
+
+MAX_RATE = 60.0
+"""Pictures a second; of faster control only every so many steps is shown."""
+
+
+def record(config: Config, overrides: list[str]) -> None:
+    """Film one episode with deterministic actions: an MP4 and a filmstrip of six pictures.
+
+    The episode is the first one that the seed gives, whatever comes of it; another ``seed`` films another.
+
+    Settings: ``checkpoint`` and ``suite`` as for `skatemount.evaluate`, ``seed``, ``output`` (folder; the run's
+    ``videos`` for a checkpoint of a run, else ``videos`` here), and any setting of the task.
+
+    Args:
+        config: As composed from the command line.
+        overrides: What the user asked for.
+
+    Raises:
+        ConfigError: No such policy or suite, the policy does not fit the task, or nothing here can draw.
+    """
+    import numpy as np
+    from rich.progress import track
+
+    from skatemount import atomic, rendering
+    from skatemount.benchmark.evaluation import EVALUATION_SEED
+    from skatemount.benchmark.playback import play
+    from skatemount.benchmark.suites import Trial
+
+    trial = Trial.prepare(config, overrides)
+    episode = play(trial.agent.networks, trial.config, EVALUATION_SEED + config.seed)
+    moments = episode.moments
+    folder = Path(config.output) if config.output else default_folder(trial.agent.path)
+    name = f"{trial.agent.name.replace('/', '_')}_{trial.suite}_seed{config.seed}"
+    film, strip = folder / f"{name}.mp4", folder / f"{name}.png"
+
+    chosen = rendering.choose_moments(moments)
+    every = math.ceil(1 / episode.control_step / MAX_RATE - 1e-6)
+    painter = rendering.Painter(episode.model, episode.subjects, episode.feet)
+    pictures = []
+    with atomic.replacing(film) as temporary:
+        writer = _writer(temporary, 1 / episode.control_step / every, painter.size)
+        steps = range(len(moments))
+        for i in track(steps, "drawing", transient=True, disable=not sys.stdout.isatty()):
+            if i % every and i not in chosen:
+                continue
+            picture = painter.draw(moments[i])
+            if i in chosen:
+                small = picture.resize((picture.width * 2 // 3, picture.height * 2 // 3))
+                pictures.append(rendering.label(small, moments[i]))
+            if not i % every:
+                writer.send(np.asarray(rendering.label(picture, moments[i], scale=1.2)).tobytes())
+        writer.close()
+    painter.close()
+    with atomic.replacing(strip) as temporary:
+        rendering.filmstrip(pictures).save(temporary, format="png", optimize=True)
+    print(f"{trial.agent.name} on {trial.suite}, seed {config.seed}, first episode: {episode.verdict}")
+    print(f"written to {film} and {strip}")
+
+
+def default_folder(policy: Path) -> Path:
+    """Where films of a policy go: to its run's, or to ``videos`` here if it is no run's."""
+    from skatemount.errors import ConfigError
+    from skatemount.runs import RunFolder
+
+    try:
+        return RunFolder.open(policy if policy.is_dir() else policy.parent).videos
+    except ConfigError:
+        return Path("videos")
+
+
+def _writer(path: Path, rate: float, size: tuple[int, int]) -> Generator[None, bytes | None, None]:
+    """Takes pictures as bytes and makes an MP4 that every browser plays."""
+    import imageio_ffmpeg
+
+    from skatemount.errors import ConfigError
+
+    try:
+        writer = imageio_ffmpeg.write_frames(
+            str(path),
+            size,
+            fps=rate,
+            codec="libx264",
+            quality=7,
+            # The file's temporary name does not tell its format.
+            output_params=["-f", "mp4", "-movflags", "+faststart"],
+        )
+        writer.send(None)
+    except (RuntimeError, OSError) as error:
+        raise ConfigError(f"no film: {' '.join(str(error).split())}; pip install imageio-ffmpeg") from error
+    return writer
+
+
+def main() -> None:
+    """Run the program."""
+    from skatemount import opengl
+    from skatemount.errors import ConfigError
+
+    try:
+        opengl.choose()
+    except ConfigError as error:
+        print(f"skatemount.record: {error}", file=sys.stderr)
+        sys.exit(2)
+    # Only now: importing the configuration imports dm_control, which asks once how to draw.
+    from skatemount import cli
+
+    cli.run(record, "record")
+
+
+if __name__ == "__main__":
+    main()
