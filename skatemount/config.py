@@ -119,11 +119,14 @@ class Config(TaskConfig):
         for name in ("seed", "torch_threads"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"{name}={getattr(self, name)} must be 0 or more")
-        at_least_one = (("collector", "steps"), ("logger", "checkpoint_every"), ("logger", "keep_checkpoints"))
-        for group, name in at_least_one:
-            value = getattr(getattr(self, group), name)
-            if value < 1:
-                raise ConfigError(f"{group}.{name}={value} must be at least 1")
+        if self.collector.steps < 1:
+            raise ConfigError(f"collector.steps={self.collector.steps} must be at least 1")
+        for name in ("checkpoint_every", "keep_checkpoints", "evaluate_episodes"):
+            if getattr(self.logger, name) < 1:
+                raise ConfigError(f"logger.{name}={getattr(self.logger, name)} must be at least 1")
+        for name in ("evaluate_every", "final_episodes"):
+            if getattr(self.logger, name) < 0:
+                raise ConfigError(f"logger.{name}={getattr(self.logger, name)} must be 0 (none) or more")
 
 
 ConfigStore.instance().store(name="schema", node=Config)
@@ -230,6 +233,8 @@ def one_line(error: BaseException) -> str:
             line
             for line in lines
             if line
+            # What OmegaConf says before it fills in the value; it says so again with it.
+            and "$VALUE" not in line
             and not line.startswith(
                 (
                     "reference_type=",
@@ -243,8 +248,9 @@ def one_line(error: BaseException) -> str:
         ]
         keys = [line.removeprefix("full_key:").strip() for line in lines if line.startswith("full_key:")]
         text = " ".join(kept)
+        if not text or any(text in earlier for earlier in said):
+            continue
         if keys and keys[0] not in text:
             text += f" ({keys[0]})"
-        if text and text not in said:
-            said.append(text)
+        said.append(text)
     return ": ".join(said)

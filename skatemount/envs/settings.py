@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from skatemount.envs.commands import CommandConfig
@@ -65,8 +66,8 @@ class TaskConfig:
 
     def validate(self) -> None:
         """Raise `ConfigError` for the first setting that cannot be used."""
-        if self.episode_length <= 0:
-            raise ConfigError(f"episode_length={self.episode_length} must be above 0 seconds")
+        if not 0 < self.episode_length < math.inf:
+            raise ConfigError(f"episode_length={self.episode_length} must be above 0 seconds, and finite")
         if self.success not in CRITERIA:
             raise ConfigError(f"success={self.success} must be one of {', '.join(CRITERIA)}")
         for part in ("robot", "board", "physics", "start", "command", "randomization"):

@@ -66,6 +66,11 @@ class AlgorithmConfig:
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise ConfigError(f"{where}.{name}={value} must be above 0")
+        if self.min_learning_rate > self.max_learning_rate:
+            raise ConfigError(
+                f"{where}.min_learning_rate={self.min_learning_rate} must be at most "
+                f"max_learning_rate={self.max_learning_rate}"
+            )
         for name in ("value_coeff", "entropy_coeff"):
             if not getattr(self, name) >= 0:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be 0 or more")
