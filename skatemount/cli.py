@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import NoReturn
 
 import hydra
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from skatemount import config as configuration
@@ -34,7 +35,7 @@ def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
 
     @hydra.main(config_path=str(configuration.config_dir().absolute()), config_name="config", version_base="1.3")
     def application(composed: DictConfig) -> None:
-        overrides = list(hydra.core.hydra_config.HydraConfig.get().overrides.task)
+        overrides = list(HydraConfig.get().overrides.task)
         try:
             verb(configuration.to_object(composed), overrides)
         except (ConfigError, FloatingPointError) as error:

@@ -10,7 +10,7 @@ from typing import Any
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 import skatemount
 from skatemount.curriculum.base import CurriculumConfig
@@ -156,7 +156,7 @@ def check_stage(name: str) -> None:
         raise ConfigError(f"stage={name} is not a stage; there are: {', '.join(stages())}")
 
 
-def to_object(config: DictConfig) -> Config:
+def to_object(config: DictConfig | ListConfig) -> Config:
     """A composed configuration as dataclasses, validated.
 
     Raises:

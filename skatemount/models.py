@@ -148,20 +148,20 @@ class ActorCritic(nn.Module):
         super().__init__()
         config.validate()
         sizes = (observation, observation + privileged)
-        self.normalizers = nn.ModuleList(RunningNormalizer(s) for s in sizes) if config.normalize else None
+        normalizers = [RunningNormalizer(size) for size in sizes] if config.normalize else []
+        self._normalizers = nn.ModuleList(normalizers)
 
-        def network(which: int, cells: list[int], out: int) -> nn.Sequential:
-            layers = MLP(sizes[which], out, num_cells=cells, activation_class=ACTIVATIONS[config.activation])
-            parts = [layers]
-            if self.normalizers is not None:
-                parts.insert(0, self.normalizers[which])
-            return nn.Sequential(*parts)
+        def network(which: int, cells: list[int], out: int) -> MLP:
+            return MLP(sizes[which], out, num_cells=cells, activation_class=ACTIVATIONS[config.activation])
 
-        policy = network(0, list(config.actor), actions)
+        means = network(0, list(config.actor), actions)
         with torch.no_grad():
             # The first actions are the default pose: a robot that stands learns sooner than one that twitches.
-            policy[-1][-1].weight.mul_(0.01)
-            policy[-1][-1].bias.zero_()
+            *_, last = (layer for layer in means if isinstance(layer, nn.Linear))
+            last.weight.mul_(0.01)
+            last.bias.zero_()
+        policy = nn.Sequential(*normalizers[:1], means)
+        value = nn.Sequential(*normalizers[1:], network(1, list(config.critic), 1))
         self.actor = ProbabilisticActor(
             TensorDictModule(
                 nn.Sequential(policy, BoundedNormalScale(actions, config)), ["observation"], ["loc", "scale"]
@@ -171,16 +171,15 @@ class ActorCritic(nn.Module):
             return_log_prob=True,
             default_interaction_type=ExplorationType.RANDOM,
         )
-        self.critic = ValueOperator(Join(network(1, list(config.critic), 1)), in_keys=list(self.critic_keys))
+        self.critic = ValueOperator(Join(value), in_keys=list(self.critic_keys))
 
-    def distribution(self, batch: TensorDictBase) -> torch.distributions.Distribution:
-        """The distribution of actions; the batch is left as it is."""
-        return self.actor.get_dist(batch.select(*self.actor_keys))
+    def gaussian(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Means and standard deviations of the actions, ``[..., 12]`` float32 each; the batch is left as it is."""
+        out = self.actor.get_dist_params(batch.select(*self.actor_keys))
+        return out["loc"].float(), out["scale"].float()
 
     def observe(self, batch: TensorDictBase) -> None:
         """Let the normalisers take a batch into account."""
-        if self.normalizers is None:
-            return
-        observation = batch["observation"]
-        self.normalizers[0].observe(observation)
-        self.normalizers[1].observe(torch.cat((observation, batch["privileged"]), -1))
+        for normalizer, keys in zip(self._normalizers, (self.actor_keys, self.critic_keys)):
+            assert isinstance(normalizer, RunningNormalizer)
+            normalizer.observe(torch.cat([batch[key] for key in keys], -1))

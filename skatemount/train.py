@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from skatemount import cli
-from skatemount import config as configuration
-from skatemount.config import Config
-from skatemount.errors import ConfigError
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from skatemount.config import Config
 
 
 def train(config: Config, overrides: list[str]) -> None:
@@ -18,27 +18,34 @@ def train(config: Config, overrides: list[str]) -> None:
     Raises:
         ConfigError: No stage, or a setting that cannot be used.
     """
-    if config.resume is None and not config.stage.name:
-        listed = "; ".join(f"{name} ({about})" for name, about in configuration.stages().items())
-        raise ConfigError(f"no stage: add +stage=<name>. There are: {listed}")
-    # Torch takes seconds to import: a mistake in the settings should not.
+    from skatemount.config import stages
+    from skatemount.errors import ConfigError
     from skatemount.training import Trainer, resumed
 
-    config = resumed(config, overrides)
-    trainer = Trainer(config, overrides)
-    network = config.network
-    print(
-        f"{config.stage.name}: {trainer.env.num_worlds} worlds, {trainer.env.physics.threads} physics threads, "
-        f"actor {list(network.actor)}, from {trainer.started_from or 'nothing'}"
-    )
-    print(f"run: {trainer.run.path}", flush=True)
+    if config.resume is None and not config.stage.name:
+        listed = "; ".join(f"{name} ({about})" for name, about in stages().items())
+        raise ConfigError(f"no stage: add +stage=<name>. There are: {listed}")
+    trainer = Trainer(resumed(config, overrides), overrides)
+    print(trainer.describe(), flush=True)
     try:
         result = trainer.train()
     finally:
         trainer.close()
     if result is not None:
         print(result.table())
+    print(f"run: {trainer.run.path}")
+
+
+def main() -> None:
+    """Run the program."""
+    from skatemount import opengl
+
+    opengl.disable()
+    # Only now: importing the configuration imports dm_control, which looks for a display otherwise.
+    from skatemount import cli
+
+    cli.run(train, "train")
 
 
 if __name__ == "__main__":
-    cli.run(train, "train")
+    main()

@@ -13,7 +13,7 @@ from torchrl.collectors import Collector
 
 from skatemount import checkpoint
 from skatemount import config as configuration
-from skatemount.agent import Agent, check_contract, make_card
+from skatemount.agent import MODULE, Agent, check_contract, load_weights, make_card
 from skatemount.benchmark.evaluation import EVALUATION_SEED, Evaluation, Evaluator
 from skatemount.config import Config
 from skatemount.curriculum.auto import AutoCurriculum
@@ -127,14 +127,7 @@ class Trainer:
             return None
         agent = Agent.load(spec, setting="init_from")
         check_contract(agent.card, self.task)
-        try:
-            self.networks.load_state_dict(agent.networks.state_dict())
-        except RuntimeError as error:
-            layers = agent.config.network.actor
-            raise ConfigError(
-                f"init_from={spec} has a network of {layers}, this run one of {self.config.network.actor}: "
-                "choose the same network, or init_from=null"
-            ) from error
+        load_weights(self.networks, {MODULE: agent.networks.state_dict()}, f"init_from={spec}")
         return spec
 
     def _restore(self) -> None:
@@ -151,6 +144,15 @@ class Trainer:
         self._order.set_state(state["order_rng"])
         self.env.generator.set_state(state["env_rng"])
         self.started_from = str(folder)
+
+    def describe(self) -> str:
+        """What is trained, where from and where to, two lines."""
+        config = self.config
+        return (
+            f"{config.stage.name}: {self.env.num_worlds} worlds ({self.env.physics.description}), "
+            f"actor {list(config.network.actor)}, starts from {self.started_from or 'nothing'}\n"
+            f"run: {self.run.path}"
+        )
 
     def train(self) -> Evaluation | None:
         """Train until the frames are spent.
@@ -254,7 +256,7 @@ class Trainer:
             "env_rng": self.env.generator.get_state(),
         }
         folder = self.run.checkpoint(self.frames)
-        checkpoint.save_checkpoint(folder, {"networks": self.networks}, card, state)
+        checkpoint.save_checkpoint(folder, {MODULE: self.networks}, card, state)
         self.run.mark_checkpoint(folder, score)
         checkpoint.keep_last(self.run.checkpoints, self.config.logger.keep_checkpoints, protect=self.run.best)
 

@@ -1,8 +1,8 @@
 """The automatic reverse curriculum: a grid of start bins that opens outwards from the goal.
 
-After Florensa et al., "Reverse Curriculum Generation for Reinforcement Learning" (2017): practise where success is neither
-rare nor sure, go on practising what is solved, and step outwards from there. Bins instead of sampled states keep an estimate
-of success that can be looked at.
+After Florensa et al., "Reverse Curriculum Generation for Reinforcement Learning" (2017): practise where success is
+neither rare nor sure, go on practising what is solved, and step outwards from there. Bins instead of sampled states
+keep an estimate of success that can be looked at.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class AutoCurriculum:
         if not ended.any():
             return
         bins = episode.bin[ended]
-        good = (outcome.truncated & (episode.steadiness > 0.85))[ended]
+        good = (outcome.truncated & (episode.steadiness > self.config.steady))[ended]
         self.trials.index_add_(0, bins, torch.ones(len(bins)))
         self.successes.index_add_(0, bins, good.to(torch.float32))
 

@@ -13,8 +13,8 @@ KINDS = ("none", "auto")
 class CurriculumConfig:
     """Which start states are practised when.
 
-    The automatic curriculum keeps a grid of bins: how far from the board, how far the heading is off, how high the step is,
-    board fixed or free. A bin opens when an easier neighbour is solved.
+    The automatic curriculum keeps a grid of bins: how far from the board, how far the heading is off, how high the
+    step is, board fixed or free. A bin opens when an easier neighbour is solved.
 
     Attributes:
         kind: ``none`` (the stage's start ranges throughout) or ``auto``.
@@ -22,10 +22,13 @@ class CurriculumConfig:
         headings: Upper edges of the heading's error modulo a half turn, degrees, up to 90.
         heights: Upper edges of the step up to the deck, m, from 0.02; the last bin is always the board's own height.
         free_after: Free boards join when this ring is solved on the fixed board at full height, m.
+        steady: An episode counts as a success when its `EpisodeState.steadiness` exceeds this at the time limit;
+            milder than the real success, which exploration noise hides.
         solved: A bin is solved when this share of its recent episodes succeeded.
         memory: Recent episodes a bin's estimate is about.
         least: Episodes a bin needs before it counts as solved.
-        replay: Share of the starts drawn from all open bins alike; the others go where success is neither rare nor sure.
+        replay: Share of the starts drawn from all open bins alike; the others go where success is neither rare nor
+            sure.
     """
 
     kind: str = "none"
@@ -33,6 +36,7 @@ class CurriculumConfig:
     headings: list[float] = field(default_factory=lambda: [15.0, 45.0, 90.0])
     heights: list[float] = field(default_factory=lambda: [0.04, 0.06, 0.075, 0.088])
     free_after: float = 0.3
+    steady: float = 0.7
     solved: float = 0.6
     memory: float = 40.0
     least: float = 15.0
@@ -48,7 +52,7 @@ class CurriculumConfig:
                 raise ConfigError(f"{where}.{name}={edges} must be increasing numbers above 0")
         if self.headings[-1] > 90:
             raise ConfigError(f"{where}.headings={self.headings} must not exceed 90 degrees: a board has no front")
-        for name in ("solved", "replay"):
+        for name in ("steady", "solved", "replay"):
             if not 0 < getattr(self, name) < 1:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be a share between 0 and 1")
         if not 0 < self.least <= self.memory:

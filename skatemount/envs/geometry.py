@@ -24,8 +24,7 @@ def quat_to_matrix(quat: Tensor) -> Tensor:
     xx, yy, zz = x * x2, y * y2, z * z2
     xy, xz, yz = x * y2, x * z2, y * z2
     wx, wy, wz = w * x2, w * y2, w * z2
-    entries = (1 - yy - zz, xy - wz, xz + wy, xy + wz, 1 - xx - zz, yz - wx)
-    entries += (xz - wy, yz + wx, 1 - xx - yy)
+    entries = [1 - yy - zz, xy - wz, xz + wy, xy + wz, 1 - xx - zz, yz - wx, xz - wy, yz + wx, 1 - xx - yy]
     return torch.stack(entries, -1).unflatten(-1, (3, 3))
 
 

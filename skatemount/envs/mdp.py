@@ -106,7 +106,7 @@ class Mdp:
         heading = (relative @ sim.base_rot[..., :1]).squeeze(-1)
         fresh.start = torch.cat((place[:, :2], torch.atan2(heading[:, 1:2], heading[:, :1])), 1)
         self._commander.update(sim, fresh)
-        return fresh.where(mask, episode)
+        return fresh.where(mask, episode)  # type: ignore[attr-defined]
 
     def advance(self, sim: SimState, episode: EpisodeState, action: Tensor, diverged: Tensor) -> Outcome:
         """Account for a control step, in place.

@@ -143,8 +143,8 @@ class MountEnv(EnvBase):
         """Let a curriculum choose where starts are, from the next start that is drawn on.
 
         Args:
-            place: Draws places; what it does not say follows the task's start settings. Call again when its choice changes,
-                as starts are drawn ahead.
+            place: Draws places; what it does not say follows the task's start settings. Call again when its choice
+                changes, as starts are drawn ahead.
         """
         self._place = place
         self._queue = StartQueue(self.task.make_sampler(place), max(self.num_worlds, 1024), self.generator)

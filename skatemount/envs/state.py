@@ -148,8 +148,8 @@ class EpisodeState:
         off_time: ``[N, 4]`` seconds since the foot last pressed on the deck.
         touchdown: ``[N, 4]`` bool, the foot began to touch anything in this step.
         touching: ``[N, 4]`` bool, the foot touches anything now.
-        steadiness: ``[N]`` share of the feet over the deck and close to it, none elsewhere, upright, averaged over about
-            the last third of a second: a success that exploration noise does not hide.
+        steadiness: ``[N]`` share of the feet over the deck and close to it, none elsewhere, upright, averaged over
+            about the last third of a second: a success that exploration noise does not hide.
         mounted: ``[N]`` bool, the robot stands on the board (see `skatemount.envs.success`).
         mounted_time: ``[N]`` seconds that it has stood there without a break.
         first_contact: ``[N]`` seconds from the start to the first foot-deck contact; infinite before it.

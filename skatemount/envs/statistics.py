@@ -44,8 +44,8 @@ class EpisodeStatistics:
 
     def _forget(self) -> None:
         self._episodes = self._successes = self._length = self._feet_sum = self._mount_time = 0.0
-        self._shares: Tensor | float = 0.0
-        self._end_counts: Tensor | float = 0.0
+        self._shares = torch.zeros(len(self._rewards))
+        self._end_counts = torch.zeros(len(self._ends))
         self._time_outs = 0.0
 
     def add(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:

@@ -99,6 +99,11 @@ class MountTask(composer.Task):
         """What the last step led to, a batch of one; none before the first step of an episode."""
         return self._outcome
 
+    @property
+    def _last(self) -> Outcome:
+        assert self._outcome is not None, "no step was made since the episode began"
+        return self._outcome
+
     def action_spec(self, physics: Any) -> dm_env.specs.BoundedArray:
         """12 joint position targets, relative to the default pose and in units of the action scale."""
         bound = self.scene.robot.config.action_clip
@@ -163,15 +168,15 @@ class MountTask(composer.Task):
 
     def get_reward(self, physics: Any) -> float:
         """The reward of the last step."""
-        return float(self._outcome.reward[0])
+        return float(self._last.reward[0])
 
     def should_terminate_episode(self, physics: Any) -> bool:
         """Whether the last step ended the episode, by a termination or by the time limit."""
-        return bool(self._outcome.terminated[0] | self._outcome.truncated[0])
+        return bool(self._last.terminated[0] | self._last.truncated[0])
 
     def get_discount(self, physics: Any) -> float:
         """0 after a termination, 1 otherwise (a time limit is no end of the task)."""
-        return 0.0 if self._outcome.terminated[0] else 1.0
+        return 0.0 if self._last.terminated[0] else 1.0
 
     def _look(self, physics: Any) -> tuple[Tensor, Tensor]:
         # Both observables come from one look: the noise is drawn once.

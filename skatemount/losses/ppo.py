@@ -163,8 +163,9 @@ class PPO:
         batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         flat = batch.select(*self._keys).flatten(0, 1)
         with torch.no_grad(), self._autocast():
-            before = self.networks.distribution(flat)
-            loc, scale = before.base_dist.loc.float().clone(), before.base_dist.scale.float().clone()
+            loc, scale = self.networks.gaussian(flat)
+            # The scale is a view of the parameter that is about to change.
+            scale = scale.clone()
 
         sums: dict[str, Tensor] = {}
         kl, updates = 0.0, 0
@@ -208,8 +209,7 @@ class PPO:
     def _divergence(self, part: TensorDictBase, loc: Tensor, scale: Tensor) -> float:
         """KL of the policy before the iteration from the present one, the closed form for diagonal Gaussians."""
         with self._autocast():
-            now = self.networks.distribution(part)
-        new_loc, new_scale = now.base_dist.loc.float(), now.base_dist.scale.float()
+            new_loc, new_scale = self.networks.gaussian(part)
         ratio = scale / new_scale
         kl = -ratio.log() + 0.5 * (ratio.square() + ((loc - new_loc) / new_scale).square() - 1)
         return float(kl.sum(-1).mean())

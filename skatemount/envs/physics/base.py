@@ -52,6 +52,8 @@ class Physics(Protocol):
     model: mujoco.MjModel
     """The scene as compiled; never randomised."""
     index: SceneIndex
+    description: str
+    """What steps the worlds, in a few words."""
 
     def step(self, targets: Tensor, substeps: int) -> None:
         """Advance every world by ``substeps`` physics steps.

@@ -51,6 +51,7 @@ class CpuPhysics:
         self._scene = scene
         self.index = SceneIndex.of(scene, self.model)
         self.threads = threads or available_cores()
+        self.description = f"mujoco.batch, {self.threads} threads"
         self._batch = Batch(self.model, num_worlds, self.threads)
         bind = self._batch.bind
         self._qpos, self._qvel, self._qacc = bind("qpos"), bind("qvel"), bind("qacc")

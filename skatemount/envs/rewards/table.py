@@ -93,7 +93,6 @@ class RewardTable:
         self.names = [name for name, *_ in rows]
         self._functions = [function for _, _, function, _ in rows]
         self._gated = [term.upright for _, term, _, _ in rows]
-        self._any_gated = any(self._gated)
         step = context.control_step
         weights = [k.sign * t.weight * (1.0 if k.event else step) for _, t, _, k in rows]
         clips = [math.inf if t.clip is None else t.clip for _, t, _, _ in rows]
@@ -113,7 +112,7 @@ class RewardTable:
         n = sim.base_pos.shape[0]
         if not self._functions:
             return torch.zeros(0, n)
-        factor = upright(sim) if self._any_gated else None
+        factor = upright(sim)
         values = []
         for function, gated in zip(self._functions, self._gated):
             value = function(sim, episode, self._context)
