@@ -139,6 +139,7 @@ class ActorCritic(nn.Module):
     Attributes:
         actor: Writes ``loc``, ``scale``, ``action`` and ``action_log_prob``.
         critic: Writes ``state_value``.
+        normalizers: Of the actor's and of the critic's input; empty without normalisation.
     """
 
     actor_keys = ("observation",)
@@ -149,7 +150,7 @@ class ActorCritic(nn.Module):
         config.validate()
         sizes = (observation, observation + privileged)
         normalizers = [RunningNormalizer(size) for size in sizes] if config.normalize else []
-        self._normalizers = nn.ModuleList(normalizers)
+        self.normalizers = nn.ModuleList(normalizers)
 
         def network(which: int, cells: list[int], out: int) -> MLP:
             return MLP(sizes[which], out, num_cells=cells, activation_class=ACTIVATIONS[config.activation])
@@ -173,13 +174,12 @@ class ActorCritic(nn.Module):
         )
         self.critic = ValueOperator(Join(value), in_keys=list(self.critic_keys))
 
-    def gaussian(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Means and standard deviations of the actions, ``[..., 12]`` float32 each; the batch is left as it is."""
-        out = self.actor.get_dist_params(batch.select(*self.actor_keys))
-        return out["loc"].float(), out["scale"].float()
+    def distribution(self, batch: TensorDictBase) -> IndependentNormal:
+        """The distribution of actions; the batch is left as it is."""
+        return self.actor.get_dist(batch.select(*self.actor_keys))
 
     def observe(self, batch: TensorDictBase) -> None:
         """Let the normalisers take a batch into account."""
-        for normalizer, keys in zip(self._normalizers, (self.actor_keys, self.critic_keys)):
+        for normalizer, keys in zip(self.normalizers, (self.actor_keys, self.critic_keys)):
             assert isinstance(normalizer, RunningNormalizer)
             normalizer.observe(torch.cat([batch[key] for key in keys], -1))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
+from torchrl.modules import IndependentNormal
 from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR
 from torchrl.objectives.value import GAE
 
@@ -76,6 +77,11 @@ class AlgorithmConfig:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be 0 or more")
         if self.symmetry not in SYMMETRIES:
             raise ConfigError(f"{where}.symmetry={self.symmetry} must be one of {', '.join(SYMMETRIES)}")
+
+
+def _moments(distribution: IndependentNormal) -> tuple[Tensor, Tensor]:
+    normal = distribution.base_dist
+    return normal.loc.float(), normal.scale.float()
 
 
 class PPO:
@@ -163,7 +169,7 @@ class PPO:
         batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         flat = batch.select(*self._keys).flatten(0, 1)
         with torch.no_grad(), self._autocast():
-            loc, scale = self.networks.gaussian(flat)
+            loc, scale = _moments(self.networks.distribution(flat))
             # The scale is a view of the parameter that is about to change.
             scale = scale.clone()
 
@@ -209,7 +215,7 @@ class PPO:
     def _divergence(self, part: TensorDictBase, loc: Tensor, scale: Tensor) -> float:
         """KL of the policy before the iteration from the present one, the closed form for diagonal Gaussians."""
         with self._autocast():
-            new_loc, new_scale = self.networks.gaussian(part)
+            new_loc, new_scale = _moments(self.networks.distribution(part))
         ratio = scale / new_scale
         kl = -ratio.log() + 0.5 * (ratio.square() + ((loc - new_loc) / new_scale).square() - 1)
         return float(kl.sum(-1).mean())
