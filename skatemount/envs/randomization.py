@@ -60,7 +60,7 @@ class RandomizationConfig:
         for name, value in vars(self).items():
             if value is None:
                 continue
-            if not (len(value) == 2 and value[0] <= value[1]):
+            if not (len(value) == 2 and value[0] <= value[1] and all(math.isfinite(bound) for bound in value)):
                 raise ConfigError(f"{where}.{name}={value} must be a range [low, high] with low <= high")
             if name not in additive and value[0] <= 0:
                 raise ConfigError(f"{where}.{name}={value} must be above 0")
