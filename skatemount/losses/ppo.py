@@ -159,8 +159,10 @@ class PPO:
             ``Loss/*`` and ``Policy/mean_std``.
 
         Raises:
-            FloatingPointError: The loss or the gradient is not finite; the weights are as before that minibatch.
+            FloatingPointError: The batch is not finite, and nothing has changed; or the loss or the gradient is not,
+                and the weights are as before that minibatch.
         """
+        self._check_finite(batch)
         self.networks.observe(batch)
         with self._autocast():
             self._fill_values(batch)
@@ -196,6 +198,15 @@ class PPO:
             "Policy/mean_std": float(scale.mean()),
         }
 
+    def _check_finite(self, batch: TensorDictBase) -> None:
+        # Before the normalisers see it: they would never forget it.
+        seen = [*self.networks.critic_keys, "action"]
+        for key in [("next", "reward"), *seen, *(("next", key) for key in self.networks.critic_keys)]:
+            finite = torch.isfinite(batch[key]).flatten(1).all(1)
+            if not bool(finite.all()):
+                name = key if isinstance(key, str) else ".".join(key)
+                raise FloatingPointError(f"{name} is not finite in {int((~finite).sum())} of {len(finite)} worlds")
+
     def _step(self, part: TensorDictBase, loc: Tensor, scale: Tensor) -> tuple[dict[str, Tensor], float]:
         kl = self._divergence(part, loc, scale)
         if self._symmetry is not None:
@@ -207,7 +218,7 @@ class PPO:
         total.backward()
         norm = nn.utils.clip_grad_norm_(self._parameters, self.config.max_grad_norm)
         if not bool(torch.isfinite(norm) & torch.isfinite(total)):
-            raise FloatingPointError(f"loss {float(total)} or gradient {float(norm)} is not finite")
+            raise FloatingPointError(f"loss {float(total.detach())} or gradient {float(norm)} is not finite")
         self.optimizer.step()
         return {name: value.detach() for name, value in losses.items()}, kl
 

@@ -1,0 +1,261 @@
+"""PPO: advantages against a plain loop, the learning rate, safety, symmetry, and that it learns."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from skatemount.losses.ppo import PPO, AlgorithmConfig
+from skatemount.losses.symmetry import Symmetry
+from skatemount.models import ActorCritic, NetworkConfig
+
+STEP = 0.04
+OBSERVATION, PRIVILEGED, ACTIONS = 6, 3, 4
+
+# Every odd number changes its sign, and pairs change places.
+SYMMETRY = Symmetry(
+    {
+        "observation": (torch.tensor([0, 2, 1, 3, 5, 4]), torch.tensor([1.0, -1, -1, 1, 1, 1])),
+        "privileged": (torch.tensor([0, 1, 2]), torch.tensor([1.0, -1, 1])),
+        "action": (torch.tensor([1, 0, 3, 2]), torch.tensor([-1.0, -1, 1, 1])),
+    }
+)
+
+
+def make_networks(seed: int = 0, **settings: Any) -> ActorCritic:
+    torch.manual_seed(seed)
+    config = NetworkConfig(actor=[32], critic=[32], **settings)
+    return ActorCritic(config, OBSERVATION, PRIVILEGED, ACTIONS)
+
+
+def make(
+    networks: ActorCritic | None = None, bf16: bool = False, order: torch.Generator | None = None, **settings: Any
+) -> PPO:
+    order = order or torch.Generator().manual_seed(7)
+    config = AlgorithmConfig(**settings)
+    return PPO(config, networks or make_networks(), STEP, SYMMETRY, bf16=bf16, generator=order)
+
+
+def flags(n: int, t: int, share: float, generator: torch.Generator) -> Tensor:
+    return torch.rand(n, t, 1, generator=generator) < share
+
+
+def collect(networks: ActorCritic, n: int = 16, t: int = 12, seed: int = 0, ends: float = 0.1) -> TensorDict:
+    """A batch as a collector yields it: a step's next state is the following step's state unless the episode ended."""
+    generator = torch.Generator().manual_seed(seed)
+    torch.manual_seed(seed)
+    terminated = flags(n, t, ends, generator)
+    truncated = flags(n, t, ends, generator) & ~terminated
+    batch = TensorDict(batch_size=[n, t])
+    done = terminated | truncated
+    following = TensorDict(batch_size=[n, t])
+    for key, size in (("observation", OBSERVATION), ("privileged", PRIVILEGED)):
+        now = 3.0 * torch.randn(n, t, size, generator=generator) + 1.0
+        after = 3.0 * torch.randn(n, t, size, generator=generator) + 1.0
+        after[:, :-1] = torch.where(done[:, :-1], after[:, :-1], now[:, 1:])
+        batch[key], following[key] = now, after
+    with torch.no_grad():
+        networks.actor(batch)
+    reward = torch.randn(n, t, 1, generator=generator)
+    batch["next"] = following.update(dict(reward=reward, done=done, terminated=terminated, truncated=truncated))
+    return batch
+
+
+def weights(networks: ActorCritic) -> dict[str, Tensor]:
+    return {key: value.clone() for key, value in networks.state_dict().items()}
+
+
+def same(a: dict[str, Tensor], b: dict[str, Tensor]) -> bool:
+    return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
+
+
+@pytest.mark.parametrize("ends", [0.0, 0.15])
+def test_advantages_equal_a_plain_loop(ends: float) -> None:
+    """A time-out is bootstrapped from the state in which it happened, a termination from nothing."""
+    ppo = make(horizon=0.5, trace=0.2)
+    batch = collect(ppo.networks, ends=ends)
+    if ends:
+        # Both kinds, in the middle and at the end of the batch.
+        for key, rows in (("terminated", (0, 1)), ("truncated", (2, 3))):
+            other = "truncated" if key == "terminated" else "terminated"
+            for row, step in zip(rows, (5, -1)):
+                batch["next", key][row, step] = batch["next", "done"][row, step] = True
+                batch["next", other][row, step] = False
+        # What follows an end is a new start.
+        batch["next", "observation"][[0, 2], 5] += 1.0
+    reference = copy.deepcopy(ppo.networks)
+    reference.observe(batch)
+    with torch.no_grad():
+        value = reference.critic(batch.select(*reference.critic_keys))["state_value"].squeeze(-1).double()
+        after = reference.critic(batch["next"].select(*reference.critic_keys))["state_value"].squeeze(-1).double()
+    ppo.update(batch)
+
+    gamma, lmbda = math.exp(-STEP / 0.5), math.exp(-STEP / 0.2)
+    reward, done, terminated = (batch["next", k].squeeze(-1).double() for k in ("reward", "done", "terminated"))
+    n, t = reward.shape
+    expected = torch.zeros(n, t, dtype=torch.float64)
+    for world in range(n):
+        running = 0.0
+        for i in reversed(range(t)):
+            delta = reward[world, i] + gamma * (1 - terminated[world, i]) * after[world, i] - value[world, i]
+            running = delta + gamma * lmbda * (1 - done[world, i]) * running
+            expected[world, i] = running
+    target = batch["value_target"].squeeze(-1).double()
+    torch.testing.assert_close(target, expected + value, rtol=1e-4, atol=1e-4)
+    normal = (expected - expected.mean()) / expected.std()
+    torch.testing.assert_close(batch["advantage"].squeeze(-1).double(), normal, rtol=1e-4, atol=1e-4)
+
+
+def test_reports_what_happened() -> None:
+    ppo = make()
+    batch = collect(ppo.networks)
+    deviation = float(batch["scale"].mean())
+    metrics = ppo.update(batch)
+    assert set(metrics) == {
+        *(f"Loss/{n}" for n in ("surrogate", "value_function", "entropy", "clip_fraction", "kl", "learning_rate")),
+        "Policy/mean_std",
+    }
+    assert all(math.isfinite(value) for value in metrics.values())
+    assert metrics["Policy/mean_std"] == pytest.approx(deviation)
+    assert metrics["Loss/kl"] > 0 and metrics["Loss/value_function"] > 0
+    # Of a diagonal Gaussian, up to sampling.
+    entropy = ACTIONS * (0.5 + 0.5 * math.log(2 * math.pi) + math.log(deviation))
+    assert metrics["Loss/entropy"] == pytest.approx(entropy, rel=0.2)
+
+
+def test_learning_rate_follows_the_kl_within_its_bounds() -> None:
+    bounds = dict(min_learning_rate=1e-4, max_learning_rate=1e-2)
+    for target, bound in ((1e-9, 1e-4), (1e3, 1e-2)):
+        ppo = make(learning_rate=1e-3, target_kl=target, **bounds)
+        seen = [ppo.update(collect(ppo.networks, seed=i))["Loss/learning_rate"] for i in range(3)]
+        assert ppo.learning_rate == seen[-1] == pytest.approx(bound)
+        assert (seen[0] < 1e-3) == (bound < 1e-3) and (seen[0] > 1e-3) == (bound > 1e-3)
+
+
+def test_learning_rate_stays_without_a_target() -> None:
+    ppo = make(learning_rate=2e-3, target_kl=None)
+    ppo.update(collect(ppo.networks))
+    assert ppo.learning_rate == 2e-3
+
+
+@pytest.mark.parametrize("symmetry", ["none", "augment"])
+def test_it_learns(symmetry: str) -> None:
+    """Actions that are to be 0.5 everywhere, with a reward that says how far off they are."""
+    ppo = make(learning_rate=5e-3, target_kl=None, epochs=2, entropy_coeff=0.0, symmetry=symmetry)
+    target = torch.tensor([0.5, -0.5, 0.5, 0.5])  # its own mirror image
+    rewards = []
+    for i in range(25):
+        batch = collect(ppo.networks, n=64, t=8, seed=i)
+        batch["next", "reward"] = -(batch["action"] - target).square().sum(-1, keepdim=True)
+        batch["next", "terminated"][:] = batch["next", "done"][:] = True
+        rewards.append(float(batch["next", "reward"].mean()))
+        ppo.update(batch)
+    # From 4 x (0.5^2 of the distance + 0.5^2 of the noise) to less than half.
+    assert rewards[0] == pytest.approx(-2.0, abs=0.2)
+    assert sum(rewards[-3:]) / 3 > -0.8
+
+
+@pytest.mark.parametrize(
+    "key",
+    [("next", "reward"), "observation", "privileged", "action", ("next", "observation"), ("next", "privileged")],
+    ids=str,
+)
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_what_is_not_finite_changes_nothing(key: str | tuple[str, str], value: float) -> None:
+    ppo = make()
+    ppo.update(collect(ppo.networks))
+    before = weights(ppo.networks)
+    batch = collect(ppo.networks, seed=1)
+    batch[key][3, 5] = value
+    with pytest.raises(FloatingPointError, match=r"not finite in 1 of 16 worlds"):
+        ppo.update(batch)
+    assert same(before, weights(ppo.networks))
+    ppo.update(collect(ppo.networks, seed=1))  # and it can go on
+
+
+def test_loss_that_is_not_finite_changes_no_weight() -> None:
+    ppo = make()
+    batch = collect(ppo.networks)
+    batch["next", "reward"] *= 1e38  # finite, but not its square
+    before = [p.clone() for p in ppo.networks.parameters()]
+    with pytest.raises(FloatingPointError, match="not finite"):
+        ppo.update(batch)
+    assert all(torch.equal(a, b) for a, b in zip(before, ppo.networks.parameters()))
+
+
+def loss_of(ppo: PPO, batch: TensorDict) -> float:
+    with torch.no_grad():
+        losses = ppo.loss(batch)
+    return float(losses["loss_objective"] + losses["loss_critic"])
+
+
+def test_symmetry_doubles_the_batch_with_mirror_images() -> None:
+    ppo = make(entropy_coeff=0.0)
+    batch = collect(ppo.networks)
+    ppo.update(batch)  # fills in advantages and values
+    rows = batch.select(
+        "observation", "privileged", "action", "action_log_prob", "advantage", "value_target", "state_value"
+    ).flatten(0, 1)
+    both = SYMMETRY.augment(rows)
+    n = rows.shape[0]
+    assert both.shape == (2 * n,)
+    assert torch.equal(both["observation"][:n], rows["observation"])
+    mirrored = rows["observation"][:, [0, 2, 1, 3, 5, 4]] * torch.tensor([1.0, -1, -1, 1, 1, 1])
+    assert torch.equal(both["observation"][n:], mirrored)
+    assert torch.equal(both["privileged"][n:, 1], -rows["privileged"][:, 1])
+    assert torch.equal(both["action"][n:, 0], -rows["action"][:, 1])
+    for key in ("action_log_prob", "advantage", "value_target", "state_value"):
+        assert torch.equal(both[key][n:], rows[key])
+
+    # Whether the mirror shows the original or the other way around makes no difference.
+    image = both[n:]
+    assert loss_of(ppo, SYMMETRY.augment(image)) == pytest.approx(loss_of(ppo, both), rel=1e-5)
+    assert loss_of(ppo, image) != pytest.approx(loss_of(ppo, rows), rel=1e-3)
+
+
+def test_symmetry_makes_the_policy_symmetric() -> None:
+    """A reward that asks for two different things of mirrored actions ends in the middle only with symmetry."""
+    asymmetry = {}
+    for symmetry in ("none", "augment"):
+        ppo = make(learning_rate=5e-3, target_kl=None, epochs=2, entropy_coeff=0.0, symmetry=symmetry)
+        for i in range(12):
+            batch = collect(ppo.networks, n=64, t=8, seed=i)
+            batch["next", "reward"] = batch["action"][..., :1] + batch["action"][..., 1:2]  # changes sign in the mirror
+            batch["next", "terminated"][:] = batch["next", "done"][:] = True
+            ppo.update(batch)
+        rows = collect(ppo.networks, seed=99).flatten(0, 1).select("observation", "privileged", "action")
+        both = ppo.networks.actor(SYMMETRY.augment(rows))["loc"].detach()
+        n = rows.shape[0]
+        asymmetry[symmetry] = float((SYMMETRY.mirror("action", both[:n]) - both[n:]).abs().mean())
+    assert asymmetry["augment"] < 0.5 * asymmetry["none"]
+
+
+def test_goes_on_from_a_saved_state_bit_for_bit() -> None:
+    order = torch.Generator().manual_seed(1)
+    ppo = make(order=order)
+    ppo.update(collect(ppo.networks))
+    other = make(copy.deepcopy(ppo.networks), order=order.clone_state())
+    other.load_state_dict(copy.deepcopy(ppo.state_dict()))
+    assert other.learning_rate == ppo.learning_rate != AlgorithmConfig().learning_rate
+    batch = collect(ppo.networks, seed=1)
+    assert ppo.update(batch.clone()) == other.update(batch.clone())
+    assert same(weights(ppo.networks), weights(other.networks))
+    assert ppo.learning_rate == other.learning_rate
+
+
+def test_bf16() -> None:
+    """Matrix products are rounded, weights and advantages are not."""
+    ppo, exact = make(bf16=True), make()
+    batch = collect(ppo.networks)
+    metrics, reference = ppo.update(batch), exact.update(collect(exact.networks))
+    assert all(math.isfinite(value) for value in metrics.values())
+    assert metrics["Loss/value_function"] == pytest.approx(reference["Loss/value_function"], rel=0.05)
+    assert all(p.dtype == torch.float32 for p in ppo.networks.parameters())
+    assert batch["advantage"].dtype == torch.float32
+    assert not same(weights(ppo.networks), weights(exact.networks))  # it did round
