@@ -125,8 +125,15 @@ class Trainer:
             spec = self.config.stage.init_from
         if spec is None:
             return None
-        agent = Agent.load(spec, setting="init_from")
-        check_contract(agent.card, self.task)
+        agent = Agent.load(spec, self.config.logger.root, "init_from")
+        check_contract(agent.card, self.task, f"init_from={spec}")
+        for name in ("actor", "critic", "activation", "normalize"):
+            theirs, ours = (getattr(config.network, name) for config in (agent.config, self.config))
+            if theirs != ours:
+                raise ConfigError(
+                    f"init_from={spec}: its network has {name}={theirs}, this run's {name}={ours}: choose the same "
+                    "network, or init_from=null"
+                )
         load_weights(self.networks, {MODULE: agent.networks.state_dict()}, f"init_from={spec}")
         return spec
 
@@ -190,6 +197,8 @@ class Trainer:
                     self.iteration += 1
                     now = time.monotonic()
                     self.elapsed = already + now - started
+                    if lost := self.env.physics.overflowed():
+                        raise ConfigError(lost)
                     metrics |= self.env.statistics.pop()
                     if self.curriculum is not None:
                         self.curriculum.update()

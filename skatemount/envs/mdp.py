@@ -51,6 +51,14 @@ class Mdp:
         config: Settings of the task.
         scene: The scene, for its constants.
         generator: Source of commands and observation noise.
+
+    Attributes:
+        context: Constants.
+        criterion: What an episode must achieve, a name of `skatemount.envs.success.CRITERIA`.
+        observation: What the policy sees.
+        privileged: What only the critic sees besides.
+        rewards: Reward terms.
+        terminations: Termination terms.
     """
 
     def __init__(self, config: TaskConfig, scene: Scene, generator: torch.Generator):
@@ -62,7 +70,8 @@ class Mdp:
         self.terminations = TerminationTable(config.termination, self.context)
         self._commander = Commander(config.command, self.context.control_step, generator)
         self._fade = math.exp(-self.context.control_step / 0.35)
-        self._criterion = success.CRITERIA[config.success]
+        self.criterion = config.success
+        self._succeeded = success.CRITERIA[config.success]
         self._noise = generator if config.observation.noise else None
         robot = scene.robot
         self._clip = robot.config.action_clip
@@ -150,7 +159,7 @@ class Mdp:
         # What a failed world shows means nothing; one number that is not finite would spoil the whole batch.
         shares = torch.where(diverged, 0.0, shares)
         self._commander.update(sim, episode)
-        succeeded = truncated & self._criterion(episode, step)
+        succeeded = truncated & self._succeeded(episode, step)
         return Outcome(shares.sum(0), shares, ends, terminated, truncated, succeeded)
 
     def end_names(self) -> list[str]:

@@ -130,7 +130,8 @@ class MountEnv(EnvBase):
         self._randomizer.new_episodes(self.physics, mask)
         start = self._queue.take(mask)
         self.physics.reset(mask, start)
-        self._pushes.restart(mask)
+        if self._pushes.active:
+            self._pushes.restart(mask)
         self.statistics.restart(mask)
         self._sim = self.physics.state()
         self._episode = self.mdp.begin(self._sim, self._episode, mask, start.bin)
@@ -155,11 +156,15 @@ class MountEnv(EnvBase):
             self.physics.push(*self._pushes.due())
         self.physics.step(self.mdp.targets(action), self._substeps)
         self._sim = self.physics.state()
-        outcome = self.mdp.advance(self._sim, self._episode, action, self.physics.diverged())
+        diverged = self.physics.diverged()
+        outcome = self.mdp.advance(self._sim, self._episode, action, diverged)
         done = outcome.terminated | outcome.truncated
         for listener in self.listeners:
             listener(self._episode, outcome, done)
         result = self._observation(outcome.succeeded)
+        for key in ("observation", "privileged"):
+            # What a failed world shows may be of any size, and would stay in the running means of the networks.
+            result[key] = torch.where(diverged.unsqueeze(1), 0.0, result[key])
         result["reward"] = outcome.reward.unsqueeze(1)
         result["done"] = done.unsqueeze(1)
         result["terminated"] = outcome.terminated.unsqueeze(1)

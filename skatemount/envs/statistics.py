@@ -21,6 +21,7 @@ class EpisodeStatistics:
     def __init__(self, mdp: Mdp, num_worlds: int):
         self._step = mdp.context.control_step
         self._seconds = mdp.context.episode_steps * self._step
+        self._mounts = mdp.criterion == "mount"
         self._rewards, self._ends = mdp.rewards.names, mdp.end_names()
         self._n = num_worlds
         self.clear()
@@ -85,7 +86,7 @@ class EpisodeStatistics:
             "Success/rate": self._successes / n,
             "Success/feet_on_board": self._feet_sum / n,
         }
-        if self._successes:
+        if self._successes and self._mounts:
             metrics["Success/time_to_mount"] = self._mount_time / self._successes
         for name, value in zip(self._rewards, shares.tolist()):
             metrics[f"Episode_Reward/{name}"] = value / self._seconds

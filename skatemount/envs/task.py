@@ -17,7 +17,7 @@ from torch import Tensor
 from skatemount.envs.legs import Legs
 from skatemount.envs.mdp import Mdp, Outcome
 from skatemount.envs.physics.base import WorldStart
-from skatemount.envs.randomization import Randomizer
+from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.settings import TaskConfig
 from skatemount.envs.starts import Place, StartSampler
@@ -31,7 +31,7 @@ class MountTask(composer.Task):
     `skatemount.envs.MountEnv` it is a batch of worlds for TorchRL. Both call the same functions.
 
         task = MountTask(stage="unfixed")
-        env = composer.Environment(task, recompile_mjcf_every_episode=False)
+        env = composer.Environment(task, recompile_mjcf_every_episode=False, strip_singleton_obs_buffer_dim=True)
 
     Args:
         stage: Name of a stage of the configuration; `skatemount.config.stages` lists them.
@@ -58,6 +58,7 @@ class MountTask(composer.Task):
         self._outcome: Outcome | None = None
         self._observed: tuple[Tensor, Tensor] | None = None
         self._sim: SimState | None = None
+        self._pushes: Pushes | None = None
         self.set_timesteps(self.scene.solver.control_step, self.scene.solver.timestep)
         self._observables = {
             "observation": observable.Generic(lambda physics: self._look(physics)[0][0].numpy()),
@@ -122,6 +123,7 @@ class MountTask(composer.Task):
         randomizer = Randomizer(self.config.randomization, self._index, self._nominal, self._generator)
         randomizer.build_worlds(world)
         randomizer.new_episodes(world, torch.ones(1, dtype=torch.bool))
+        self._pushes = Pushes(self.config.randomization, 1, self._mdp.context.control_step, self._generator)
         self.start(physics, self._sampler.draw(1, self._generator))
 
     def start(self, physics: Any, start: WorldStart) -> None:
@@ -153,8 +155,18 @@ class MountTask(composer.Task):
             # After a reset composer computes everything once more with the actuators off; do it again with them on.
             physics.data.qacc_warmstart[:] = 0.0
             physics.forward()
+        if self._pushes is not None and self._pushes.active:
+            self._push(physics, *self._pushes.due())
         self._action = torch.as_tensor(np.asarray(action), dtype=torch.float32).reshape(1, 12)
         physics.data.ctrl[self._index.actuators] = self._mdp.targets(self._action)[0]
+
+    def _push(self, physics: Any, due: Tensor, velocity: Tensor) -> None:
+        if not due[0]:
+            return
+        dof = self._index.base_dof.start
+        physics.data.qvel[dof : dof + 3] += velocity[0].numpy()
+        # Composer's next step begins where this one has been computed up to: positions and velocities.
+        mujoco.mj_step1(physics.model.ptr, physics.data.ptr)
 
     def before_substep(self, physics: Any, action: np.ndarray, random_state: np.random.RandomState) -> None:
         """Nothing: the targets hold for the whole control step."""

@@ -102,6 +102,10 @@ class Physics(Protocol):
         """One world's pose with everything there is to see, to render it."""
         ...
 
+    def overflowed(self) -> str | None:
+        """What went wrong and what to raise if a buffer was too small and contacts were lost; none if all is well."""
+        ...
+
     def close(self) -> None:
         """Free the engine's memory and threads."""
         ...

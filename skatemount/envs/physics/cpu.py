@@ -28,6 +28,8 @@ _DIVERGED = [
     )
 ]
 
+_OVERFLOWED = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
+
 
 def available_cores() -> int:
     """Cores that this process may run on."""
@@ -64,7 +66,6 @@ class CpuPhysics:
         if (np.diff(dof) == 1).all():
             self._joint_dof = slice(int(dof[0]), int(dof[-1]) + 1)
         self._reader = StateReader(self.index)
-        self._warnings_at_reset = self._warning_counts()
         self._batch.forward()
 
     def step(self, targets: Tensor, substeps: int) -> None:
@@ -94,7 +95,6 @@ class CpuPhysics:
         self._mocap[ids, index.floor_mocap, 2] = rows.ground_height.numpy()
         # To the last stage: short of it, force sensors would show what another world left behind.
         self._batch.forward(ids, stage=_EVERYTHING)
-        self._warnings_at_reset[ids] = self._warning_counts()[ids]
 
     def push(self, mask: Tensor, velocity: Tensor) -> None:
         """Add to the trunk's velocity; see `Physics.push`."""
@@ -124,8 +124,13 @@ class CpuPhysics:
 
     def diverged(self) -> Tensor:
         """``[N]`` bool, worlds that MuJoCo had to give up since their last reset."""
-        rose = (self._warning_counts() > self._warnings_at_reset).any(-1)
-        return torch.from_numpy(rose | ~np.isfinite(self._qpos).all(-1))
+        return torch.from_numpy(self._warned(_DIVERGED) | ~np.isfinite(self._qpos).all(-1))
+
+    def overflowed(self) -> str | None:
+        """What to raise if contacts or constraints were dropped for want of memory."""
+        if self._warned(_OVERFLOWED).any():
+            return f"MuJoCo dropped contacts: its memory for a world, {self.model.narena} bytes, was too small"
+        return None
 
     def raw_state(self) -> np.ndarray:
         """``[N, S]`` float64, a copy of every world's full integration state; see `set_raw_state`."""
@@ -156,6 +161,7 @@ class CpuPhysics:
         """Stop the threads and free the worlds."""
         del self._batch
 
-    def _warning_counts(self) -> np.ndarray:
+    def _warned(self, kinds: list[int]) -> np.ndarray:
+        """``[N]`` bool, worlds with a warning of these kinds since their last reset."""
         # Each warning is a pair: what it was last about, and how often it was raised.
-        return np.array(self._batch.warning[:, _DIVERGED, 1])
+        return (self._batch.warning[:, kinds, 1] > 0).any(-1)
