@@ -36,8 +36,8 @@ class CurriculumConfig:
     headings: list[float] = field(default_factory=lambda: [15.0, 45.0, 90.0])
     heights: list[float] = field(default_factory=lambda: [0.04, 0.06, 0.075, 0.088])
     free_after: float = 0.3
-    steady: float = 0.7
-    solved: float = 0.6
+    steady: float = 0.6
+    solved: float = 0.5
     memory: float = 40.0
     least: float = 15.0
     replay: float = 0.3
