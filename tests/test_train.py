@@ -1,0 +1,381 @@
+"""`python -m skatemount.train` from the settings to a complete run folder, with a few worlds."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+
+from skatemount import cli
+from skatemount.agent import Agent
+from skatemount.checkpoint import list_checkpoints, load_training_state
+from skatemount.config import compose, from_dict, to_dict
+from skatemount.errors import ConfigError
+from skatemount.losses.ppo import PPO
+from skatemount.runs import RunFolder, find_checkpoint
+from skatemount.train import train
+from skatemount.training import Trainer
+
+BATCH = 8 * 4
+TINY = [
+    "physics.num_worlds=8",
+    "collector.steps=4",
+    "network.actor=[16]",
+    "network.critic=[16]",
+    "physics.threads=1",
+    "torch_threads=1",
+    "episode_length=1.0",
+    "logger.evaluate_every=0",
+    "logger.final_episodes=0",
+    "logger.progress_every=0",
+]
+
+SILENT = ["logger.csv=false", "logger.tensorboard=false"]
+
+
+@pytest.fixture(autouse=True)
+def torch_as_it_was() -> Iterator[None]:
+    """Training sets torch's threads and precision for the whole process."""
+    precision, threads = torch.get_float32_matmul_precision(), torch.get_num_threads()
+    yield
+    torch.set_float32_matmul_precision(precision)
+    torch.set_num_threads(threads)
+
+
+def run(root: Path, *overrides: str, stage: str = "balance", frames: int = 3 * BATCH) -> RunFolder:
+    """Train, and return the newest run below the root."""
+    given = [*TINY, f"total_frames={frames}", f"logger.root={root}", *overrides]
+    train(compose(stage, given), [f"+stage={stage}", *given])
+    return RunFolder.open(root / (root / "latest").read_text().strip())
+
+
+def rows(run: RunFolder) -> list[dict[str, str]]:
+    with run.metrics_csv.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def weights(run: RunFolder) -> dict[str, torch.Tensor]:
+    return Agent.load(str(run.path)).networks.state_dict()
+
+
+def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
+    return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A run of ten iterations with evaluations."""
+    root = tmp_path_factory.mktemp("trained") / "runs"
+    overrides = ["logger.evaluate_every=5", "logger.evaluate_episodes=8", "logger.checkpoint_every=2"]
+    return run(root, *overrides, "seed=3", frames=10 * BATCH)
+
+
+def test_complete_run_folder(trained: RunFolder) -> None:
+    path = trained.path
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_balance", path.name)
+    for name in ("config.yaml", "overrides.yaml", "git.diff", "environment.txt", "metrics.csv", "latest", "best"):
+        assert (path / name).stat().st_size > 0, name
+    assert trained.curves_png.read_bytes().startswith(b"\x89PNG")
+    assert any(path.glob("events.out.tfevents.*"))
+    config = from_dict(trained.config)
+    assert (config.seed, config.stage.name, config.physics.num_worlds) == (3, "balance", 8)
+    assert "+stage=balance" in yaml.safe_load((path / "overrides.yaml").read_text())
+    assert trained.latest is not None and trained.latest.name == f"step_{10 * BATCH:012d}"
+    # Three newest, every second iteration, and the best.
+    kept = [folder.name for folder in list_checkpoints(trained.checkpoints)]
+    assert kept[-3:] == [f"step_{i * BATCH:012d}" for i in (6, 8, 10)]
+    agent = Agent.load(str(path))
+    assert (agent.card.stage, agent.card.frames) == ("balance", 10 * BATCH)
+    assert agent.config == config
+
+
+def test_metrics_have_the_fields_names(trained: RunFolder) -> None:
+    table = rows(trained)
+    assert [int(float(row["frames"])) for row in table] == [i * BATCH for i in range(1, 11)]
+    last = table[-1]
+    for name in ("Loss/surrogate", "Loss/value_function", "Loss/entropy", "Loss/kl", "Loss/learning_rate"):
+        assert float(last[name]) == pytest.approx(float(last[name])), name  # a number
+    for name in ("Policy/mean_std", "Perf/total_fps", "Perf/collection_time", "Perf/learning_time"):
+        assert float(last[name]) > 0, name
+    for name in ("Train/mean_reward", "Train/mean_episode_length", "Success/rate", "Episode_Reward/feet_on_board"):
+        assert any(row[name] for row in table), name
+    assert {"Episode_Termination/time_out", "Episode_Termination/trunk_contact"} <= last.keys()
+    evaluated = [i for i, row in enumerate(table, 1) if row["Evaluation/success"]]
+    assert evaluated == [5, 10]
+
+
+def test_same_seed_same_weights_whatever_the_threads(tmp_path: Path) -> None:
+    one = run(tmp_path / "a", "seed=5", *SILENT)
+    assert same(weights(one), weights(run(tmp_path / "b", "seed=5", "physics.threads=2", *SILENT)))
+    assert not same(weights(one), weights(run(tmp_path / "c", "seed=6", *SILENT)))
+
+
+def test_resume_goes_on(trained: RunFolder, tmp_path: Path) -> None:
+    begun = run(tmp_path, "algorithm.target_kl=1e-6", "logger.name=mine", frames=3 * BATCH)
+    before = load_training_state(find_checkpoint(str(begun.path)))
+    rate = before["ppo"]["optimizer"]["param_groups"][0]["lr"]
+    assert rate < begun.config["algorithm"]["learning_rate"]  # the KL has pushed it down
+
+    given = [f"resume={begun.path}", f"total_frames={5 * BATCH}", *(o for o in TINY if o.startswith("logger."))]
+    train(compose(None, [*given, "torch_threads=1", "physics.threads=1"]), given)
+    assert len(list((tmp_path / "skatemount").iterdir())) == 1  # no second folder
+    table = rows(begun)
+    assert [int(float(row["frames"])) for row in table] == [i * BATCH for i in range(1, 6)]
+    # With this KL each step lowers it, until it is at its bound.
+    rates = [float(row["Loss/learning_rate"]) for row in table]
+    assert rates[2] == pytest.approx(rate)
+    assert rates[3] <= rate
+    after = load_training_state(find_checkpoint(str(begun.path)))
+    assert (after["frames"], after["iteration"]) == (5 * BATCH, 5)
+    assert after["elapsed"] > before["elapsed"]
+    steps = [s["optimizer"]["state"][0]["step"] for s in (before["ppo"], after["ppo"])]
+    assert float(steps[1]) == pytest.approx(float(steps[0]) * 5 / 3)  # Adam goes on as well
+
+
+def test_resumed_trainer_has_what_was_saved(trained: RunFolder) -> None:
+    from skatemount.training import resumed
+
+    given = [f"resume={trained.path}", f"total_frames={99 * BATCH}"]
+    trainer = Trainer(resumed(compose(None, [*given, "physics.threads=1", "torch_threads=1"]), given), given)
+    trainer.close()
+    assert same(trainer.networks.state_dict(), weights(trained))
+    assert (trainer.frames, trainer.iteration) == (10 * BATCH, 10)
+    assert trainer.config.seed == 3
+    assert trainer.config.total_frames == 99 * BATCH
+    assert trainer.run.path == trained.path
+
+
+def message(function: Callable[[], Any]) -> str:
+    with pytest.raises(ConfigError) as error:
+        function()
+    text = str(error.value)
+    assert text and "\n" not in text
+    return text
+
+
+def test_resume_refuses_what_cannot_change(trained: RunFolder, tmp_path: Path) -> None:
+    def resume(*overrides: str) -> str:
+        given = [f"resume={trained.path}", *overrides]
+        return message(lambda: train(compose(None, given), given))
+
+    assert "seed=1 cannot be changed with resume" in resume("seed=1")
+    assert "algorithm.clip=0.1" in resume("total_frames=9999", "algorithm.clip=0.1")
+    assert f"({10 * BATCH})" in resume("torch_threads=1")  # nothing left to do
+    nowhere = [f"resume={tmp_path}"]
+    assert str(tmp_path) in message(lambda: train(compose(None, nowhere), nowhere))
+
+
+def test_starts_from_a_runs_policy(trained: RunFolder, tmp_path: Path) -> None:
+    spec = f"init_from={trained.path}"
+    trainer = Trainer(compose("mount", [*TINY, f"logger.root={tmp_path}", spec]), [])
+    trainer.close()
+    assert same(trainer.networks.state_dict(), weights(trained))
+    assert trainer.frames == 0
+    assert trainer.ppo.learning_rate == trainer.config.algorithm.learning_rate
+    assert str(trained.path) in trainer.describe()
+
+
+def test_latest_is_of_the_settings_root(trained: RunFolder, runs_root: Path) -> None:
+    root = trained.path.parent.parent
+    trainer = Trainer(compose("mount", [*TINY, f"logger.root={root}", "logger.experiment=x", "init_from=latest"]), [])
+    trainer.close()
+    assert same(trainer.networks.state_dict(), weights(trained))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (["network.actor=[16,8]"], ["actor=[16], this run's actor=[16, 8]", "init_from=null"]),
+        (["network.normalize=false"], ["normalize=True", "normalize=False"]),
+        (["network.activation=relu"], ["activation=elu", "activation=relu"]),
+        (["observation=compact"], ["observation", "command"]),
+        (["physics.substeps=2"], ["control_step"]),
+        (["robot.hip_inward=0.1"], ["default_pose"]),
+    ],
+    ids=lambda value: value[0],
+)
+def test_policy_that_does_not_fit_is_one_line(
+    overrides: list[str], expected: list[str], trained: RunFolder, tmp_path: Path
+) -> None:
+    config = compose("mount", [*TINY, f"logger.root={tmp_path}", f"init_from={trained.path}", *overrides])
+    text = message(lambda: Trainer(config, []))
+    assert text.startswith(f"init_from={trained.path}")
+    for part in expected:
+        assert part in text
+    assert not any(tmp_path.iterdir())  # no run folder for what never ran
+
+
+def test_request_to_end_leaves_a_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    update, calls = PPO.update, []
+
+    def interrupted(self: PPO, batch: Any) -> dict[str, float]:
+        calls.append(batch)
+        if len(calls) == 3:
+            signal.raise_signal(signal.SIGTERM)
+        return update(self, batch)
+
+    monkeypatch.setattr(PPO, "update", interrupted)
+    handler = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, *SILENT, frames=100 * BATCH)
+    assert signal.getsignal(signal.SIGTERM) == handler
+    left = RunFolder.open(tmp_path / (tmp_path / "latest").read_text().strip())
+    assert left.latest is not None
+    assert load_training_state(left.latest)["frames"] == 2 * BATCH
+
+
+def test_what_is_not_finite_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    update, calls = PPO.update, []
+
+    def broken(self: PPO, batch: Any) -> dict[str, float]:
+        calls.append(batch)
+        if len(calls) == 3:
+            batch["next", "reward"][0, 0] = torch.nan
+        return update(self, batch)
+
+    monkeypatch.setattr(PPO, "update", broken)
+    with pytest.raises(FloatingPointError, match="next.reward is not finite in 1 of 8 worlds"):
+        run(tmp_path, "logger.checkpoint_every=1", *SILENT, frames=100 * BATCH)
+    left = RunFolder.open(tmp_path / (tmp_path / "latest").read_text().strip())
+    assert left.latest is not None and left.latest.name == f"step_{2 * BATCH:012d}"  # the last good one
+
+
+@pytest.mark.parametrize("option", ["precision=bf16", "algorithm.symmetry=augment", "network.normalize=false"])
+def test_options_run(option: str, tmp_path: Path) -> None:
+    left = run(tmp_path, option, "init_from=null", *SILENT, stage="unfixed", frames=BATCH)
+    assert left.latest is not None
+
+
+def test_final_evaluation_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left = run(tmp_path, "logger.final_episodes=8", *SILENT, frames=BATCH)
+    printed = capsys.readouterr().out
+    assert "95 % interval" in printed and "feet on board" in printed
+    assert str(left.path) in printed
+
+
+# The command line, without the seconds that a process of its own takes to import.
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], runs_root: Path) -> Callable[..., Any]:
+    """Calls ``python -m skatemount.train`` with arguments; returns status, output and error output."""
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # as it sets it itself
+
+    def call(*arguments: str) -> tuple[Any, str, str]:
+        monkeypatch.setattr(sys, "argv", ["train", *arguments])
+        status: Any = 0
+        try:
+            cli.run(train, "train")
+        except SystemExit as error:
+            status = error.code
+        out, err = capfd.readouterr()
+        return status, out, err
+
+    return call
+
+
+def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:
+    status, _, err = command()
+    assert status == 2
+    assert err.count("\n") == 1 and err.startswith("skatemount.train: no stage: add +stage=<name>")
+    for stage in ("approach", "balance", "forward", "gait", "mount", "unfixed"):
+        assert f"{stage} (" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["+stage=balanced"], "stage=balanced is not a stage; there are: approach, balance,"),
+        (["stage=balance"], "stage=balance: write +stage=balance"),
+        (["+stage=balance", "total_frame=3"], "total_frame"),
+        (["+stage=balance", "reward.alive.weight=-1", "physics.num_worlds=2"], "reward.alive.weight=-1.0 must be"),
+        (["+stage=balance", "network=smal"], "small"),
+        (["+stage=mount", "init_from=runs/none", "physics.num_worlds=2"], "init_from='runs/none': not found"),
+        (["+stage=mount", "init_from=pretrained:none", "physics.num_worlds=2"], "no such policy"),
+        (["resume=runs/none"], "runs/none"),
+        (["-m", "+stage=balance,mouunt"], "stage=mouunt is not a stage"),
+    ],
+)
+def test_mistakes_are_one_line(arguments: list[str], expected: str, command: Callable[..., Any]) -> None:
+    status, out, err = command(*arguments)
+    assert status == 2
+    assert err.count("\n") == 1 and err.startswith("skatemount.train: "), err
+    assert expected in err
+    assert "Traceback" not in out + err
+
+
+def test_command_trains(command: Callable[..., Any], runs_root: Path) -> None:
+    status, out, err = command("+stage=balance", *TINY, f"total_frames={BATCH}")
+    assert status == 0, err
+    assert "balance: 8 worlds" in out
+    left = RunFolder.open(runs_root / (runs_root / "latest").read_text().strip())
+    overrides = yaml.safe_load((left.path / "overrides.yaml").read_text())
+    assert overrides == ["+stage=balance", *TINY, f"total_frames={BATCH}"]
+    assert from_dict(left.config) == compose("balance", overrides[1:])
+    assert to_dict(from_dict(left.config)) == left.config
+    assert sorted(p.name for p in runs_root.parent.iterdir()) == ["runs"]  # nothing of Hydra's is left about
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "200"}
+
+
+@pytest.mark.slow
+def test_multirun_makes_a_run_a_combination(runs_root: Path) -> None:
+    tiny = [each for each in TINY if not each.startswith("episode_length")]
+    arguments = ["-m", "+stage=balance,mount", "seed=0,1", *tiny, "total_frames=32", "init_from=null"]
+    done = subprocess.run(
+        [sys.executable, "-m", "skatemount.train", *arguments],
+        cwd=runs_root.parent,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    made = [RunFolder.open(path) for path in sorted((runs_root / "skatemount").iterdir())]
+    assert sorted((m.config["stage"]["name"], m.config["seed"]) for m in made) == [
+        ("balance", 0),
+        ("balance", 1),
+        ("mount", 0),
+        ("mount", 1),
+    ]
+    assert all(m.latest is not None for m in made)
+    assert [p.name for p in runs_root.parent.iterdir()] == ["runs"]
+
+
+@pytest.mark.slow
+def test_sigterm_leaves_a_run_that_can_go_on(runs_root: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "skatemount.train", "+stage=balance", *TINY, "total_frames=100000000"],
+        cwd=runs_root.parent,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        deadline = time.monotonic() + 120
+        while not any(len(f.read_text().splitlines()) > 2 for f in runs_root.glob("*/*/metrics.csv")):
+            assert process.poll() is None and time.monotonic() < deadline, process.communicate()[0]
+            time.sleep(0.2)
+        process.send_signal(signal.SIGTERM)
+        out, _ = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130, out
+    assert "Traceback" not in out
+    left = RunFolder.open(next(runs_root.glob("skatemount/*")))
+    assert left.latest is not None
+    assert load_training_state(left.latest)["frames"] >= 2 * BATCH
