@@ -1,0 +1,141 @@
+"""The automatic curriculum opens outwards from the goal, and only as it is solved."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from skatemount.config import compose
+from skatemount.curriculum.auto import AutoCurriculum
+from skatemount.curriculum.base import CurriculumConfig
+from skatemount.envs.mdp import Outcome
+from skatemount.envs.state import EpisodeState
+from skatemount.errors import ConfigError
+
+HEIGHT = 0.088
+
+
+def curriculum(**settings: object) -> AutoCurriculum:
+    return AutoCurriculum(CurriculumConfig(kind="auto", **settings), HEIGHT)  # type: ignore[arg-type]
+
+
+def finish(auto: AutoCurriculum, bins: torch.Tensor, good: bool) -> None:
+    """Let one episode of each of these bins end."""
+    n = len(bins)
+    episode = EpisodeState.zeros(n)
+    episode.bin = bins
+    episode.steadiness = torch.full((n,), 1.0 if good else 0.0)
+    flags = torch.ones(n, dtype=torch.bool)
+    outcome = Outcome(torch.zeros(n), torch.zeros(0, n), torch.zeros(0, n), ~flags, flags, flags)
+    auto.record(episode, outcome, flags)
+
+
+def solve(auto: AutoCurriculum) -> None:
+    """Succeed in every open bin until it counts as solved."""
+    for bin_ in auto.opened.nonzero().flatten().tolist():
+        finish(auto, torch.full((100,), bin_), good=True)
+    auto.update()
+
+
+def test_begins_at_the_goal() -> None:
+    auto = curriculum()
+    place = auto.place(500, torch.Generator().manual_seed(0))
+    assert (place.bin == 0).all() and place.board_fixed.all()
+    assert place.xy.abs().max() <= auto.config.distances[0]
+    turned = torch.atan2(torch.sin(2 * place.yaw), torch.cos(2 * place.yaw)).abs() / 2
+    assert turned.max() <= math.radians(auto.config.headings[0]) + 1e-5
+    assert place.step_height.max() <= auto.config.heights[0]
+
+
+def test_failure_opens_nothing_and_success_opens_the_neighbours() -> None:
+    auto = curriculum()
+    finish(auto, torch.zeros(200, dtype=torch.int64), good=False)
+    auto.update()
+    assert auto.opened.sum() == 1
+    for _ in range(3):
+        finish(auto, torch.zeros(200, dtype=torch.int64), good=True)
+        auto.update()
+    opened = auto.opened.view(auto.shape)
+    assert opened.sum() == 4
+    assert opened[1, 0, 0, 0] and opened[0, 1, 0, 0] and opened[0, 0, 1, 0]
+
+
+def test_too_few_episodes_open_nothing() -> None:
+    auto = curriculum()
+    finish(auto, torch.zeros(5, dtype=torch.int64), good=True)
+    auto.update()
+    assert auto.opened.sum() == 1
+
+
+def test_free_boards_wait_until_the_fixed_one_is_solved_far_enough() -> None:
+    auto = curriculum(distances=[0.1, 0.3], headings=[90.0], heights=[0.05, HEIGHT], free_after=0.3)
+    opened = lambda: auto.opened.view(auto.shape)  # noqa: E731
+    solve(auto)
+    assert not opened()[..., 1].any()
+    for _ in range(4):
+        solve(auto)
+    assert opened().all()
+
+
+def test_solved_bins_are_practised_less_than_the_frontier_but_still_practised() -> None:
+    auto = curriculum()
+    for _ in range(3):
+        finish(auto, torch.zeros(200, dtype=torch.int64), good=True)
+        auto.update()
+    weights = auto.weights()
+    assert weights.sum().item() == pytest.approx(1.0)
+    frontier = auto.opened.clone()
+    frontier[0] = False
+    assert 0 < weights[0] < weights[frontier].min()
+    assert (weights[~auto.opened] == 0).all()
+
+
+def test_places_lie_in_their_bins() -> None:
+    auto = curriculum()
+    auto.opened[:] = True
+    place = auto.place(4000, torch.Generator().manual_seed(1))
+    ring, heading, height, free = torch.unravel_index(place.bin, auto.shape)
+    upper = torch.tensor(auto.config.distances)
+    reach = place.xy.abs().amax(1)
+    lower = torch.cat((torch.zeros(1), upper[:-1]))
+    assert ((reach <= upper[ring] + 1e-6) & (reach >= lower[ring] - 1e-6)).all()
+    turned = torch.rad2deg(torch.atan2(torch.sin(2 * place.yaw), torch.cos(2 * place.yaw)).abs() / 2)
+    assert (turned <= torch.tensor(auto.config.headings)[heading] + 1e-3).all()
+    last = height == len(auto.config.heights) - 1
+    assert (place.step_height[last] == HEIGHT).all() and (place.step_height[~last] < HEIGHT).all()
+    assert (place.board_fixed == (free == 0)).all()
+    assert ring.unique().numel() == len(auto.config.distances)
+
+
+def test_state_goes_into_a_checkpoint_and_back() -> None:
+    auto, other = curriculum(), curriculum()
+    for _ in range(3):
+        solve(auto)
+    other.load_state_dict(auto.state_dict())
+    assert torch.equal(other.weights(), auto.weights())
+    assert other.metrics() == auto.metrics()
+
+
+@pytest.mark.parametrize(
+    ("setting", "named"),
+    [
+        ("curriculum.distances=[0.3,0.1]", "curriculum.distances"),
+        ("curriculum.headings=[30,120]", "curriculum.headings"),
+        ("curriculum.solved=1.5", "curriculum.solved"),
+        ("curriculum.kind=magic", "curriculum.kind"),
+    ],
+)
+def test_mistakes_name_the_setting(setting: str, named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        compose("unfixed", ["+curriculum=auto", setting])
+
+
+def test_environment_reports_to_the_curriculum(make_env) -> None:
+    auto = curriculum()
+    env = make_env("unfixed", 16, ["episode_length=0.2"])
+    env.listeners.append(auto.record)
+    env.place_starts(auto.place)
+    env.rollout(12, break_when_any_done=False)
+    assert auto.trials[0] >= 16 and auto.trials[1:].sum() == 0
