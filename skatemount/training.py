@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -55,9 +56,10 @@ def resumed(config: Config, overrides: list[str]) -> Config:
             raise ConfigError(
                 f"{override} cannot be changed with resume; {', '.join(may_change)}* can, else use init_from"
             )
-    saved = configuration.from_dict(RunFolder.open(config.resume).config)
+    folder = find_checkpoint(config.resume, Path(config.logger.root), setting="resume")
+    saved = configuration.from_dict(RunFolder.open(folder).config)
     saved.resume, saved.torch_threads, saved.physics.threads = (
-        config.resume,
+        str(folder),
         config.torch_threads,
         config.physics.threads,
     )
@@ -106,7 +108,7 @@ class Trainer:
         self._evaluator: Evaluator | None = None
         if config.resume is not None:
             self.run = RunFolder.open(config.resume)
-            self._restore()
+            self._restore(Path(config.resume))
         else:
             self.started_from = self._initialise()
             logger = config.logger
@@ -137,8 +139,8 @@ class Trainer:
         load_weights(self.networks, {MODULE: agent.networks.state_dict()}, f"init_from={spec}")
         return spec
 
-    def _restore(self) -> None:
-        folder = find_checkpoint(str(self.run.path), setting="resume")
+    def _restore(self, folder: Path) -> None:
+        """Take over everything that a checkpoint of the same run holds."""
         state = checkpoint.load_training_state(folder)
         self.networks.load_state_dict(state["networks"])
         self.ppo.load_state_dict(state["ppo"])

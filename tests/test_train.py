@@ -156,6 +156,17 @@ def test_resumed_trainer_has_what_was_saved(trained: RunFolder) -> None:
     assert trainer.run.path == trained.path
 
 
+def test_resume_takes_the_checkpoint_that_is_named(tmp_path: Path) -> None:
+    from skatemount.training import resumed
+
+    run(tmp_path, *SILENT, "logger.checkpoint_every=1", frames=3 * BATCH)
+    for spec, frames in (("latest", 3 * BATCH), (str(next(tmp_path.rglob(f"step_*{2 * BATCH}"))), 2 * BATCH)):
+        given = [f"resume={spec}", f"total_frames={9 * BATCH}", f"logger.root={tmp_path}"]
+        trainer = Trainer(resumed(compose(None, given), given), given)
+        trainer.close()
+        assert trainer.frames == frames
+
+
 def message(function: Callable[[], Any]) -> str:
     with pytest.raises(ConfigError) as error:
         function()

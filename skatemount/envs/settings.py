@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from skatemount.envs.commands import CommandConfig
 from skatemount.envs.entities.a1 import A1Config
@@ -18,19 +22,43 @@ from skatemount.envs.terminations import TerminationTerm
 from skatemount.errors import ConfigError
 
 
+def _terms(kind: type, table: dict[str, Any], where: str) -> dict[str, Any]:
+    """A table's rows as dataclasses.
+
+    The tables are declared with rows of any type: Hydra could not add a row (`+reward.still.weight=1`) to a table of
+    dataclasses.
+    """
+    rows = {}
+    for name, row in table.items():
+        if isinstance(row, kind):
+            rows[name] = row
+            continue
+        known = ", ".join(f.name for f in fields(kind))
+        try:
+            rows[name] = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(kind), row or {}))
+        except (OmegaConfBaseException, ValueError) as error:
+            said = str(error).splitlines()[0]
+            raise ConfigError(f"{where}.{name}={row}: {said}; a row may have {known}") from error
+    return rows
+
+
 @dataclass
 class ObservationConfig:
     """What is seen.
 
     Attributes:
-        policy: Terms of the actor's observation, in order.
-        privileged: Terms that only the critic sees besides.
+        policy: `ObservationTerm` by name, of the actor's observation, in order.
+        privileged: Likewise, what only the critic sees besides.
         noise: Whether the policy's terms get their noise.
     """
 
-    policy: dict[str, ObservationTerm] = field(default_factory=dict)
-    privileged: dict[str, ObservationTerm] = field(default_factory=dict)
+    policy: dict[str, Any] = field(default_factory=dict)
+    privileged: dict[str, Any] = field(default_factory=dict)
     noise: bool = True
+
+    def __post_init__(self) -> None:
+        self.policy = _terms(ObservationTerm, self.policy, "observation.policy")
+        self.privileged = _terms(ObservationTerm, self.privileged, "observation.privileged")
 
 
 @dataclass
@@ -45,8 +73,8 @@ class TaskConfig:
         board: The skateboard.
         physics: Time step, solver, engine.
         observation: What is seen.
-        reward: Reward terms by name.
-        termination: Termination terms by name.
+        reward: `RewardTerm` by name.
+        termination: `TerminationTerm` by name.
         start: Start states.
         command: Velocity commands.
         randomization: Randomised physics and pushes.
@@ -58,11 +86,15 @@ class TaskConfig:
     board: SkateboardConfig = field(default_factory=SkateboardConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)
-    reward: dict[str, RewardTerm] = field(default_factory=dict)
-    termination: dict[str, TerminationTerm] = field(default_factory=dict)
+    reward: dict[str, Any] = field(default_factory=dict)
+    termination: dict[str, Any] = field(default_factory=dict)
     start: StartConfig = field(default_factory=StartConfig)
     command: CommandConfig = field(default_factory=CommandConfig)
     randomization: RandomizationConfig = field(default_factory=RandomizationConfig)
+
+    def __post_init__(self) -> None:
+        self.reward = _terms(RewardTerm, self.reward, "reward")
+        self.termination = _terms(TerminationTerm, self.termination, "termination")
 
     def validate(self) -> None:
         """Raise `ConfigError` for the first setting that cannot be used."""

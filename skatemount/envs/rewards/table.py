@@ -88,6 +88,8 @@ class RewardTable:
                     f"{where}.{name}.weight={term.weight} must be 0 or more: the term is always {role}, "
                     f"so give the size (such as {abs(term.weight) if math.isfinite(term.weight) else 1.0})"
                 )
+            if term.clip is not None and not term.clip > 0:
+                raise ConfigError(f"{where}.{name}.clip={term.clip} must be above 0, or null for none")
             if term.weight > 0:
                 rows.append((name, term, function, REWARDS.attributes(name)))
         self.names = [name for name, *_ in rows]
