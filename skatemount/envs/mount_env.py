@@ -28,12 +28,11 @@ class MountEnv(EnvBase):
         env = MountEnv(MountTask(stage="unfixed"), num_worlds=512)
         env.rollout(100, break_when_any_done=False)
 
-    Keys: ``observation`` ``[N, D]`` (the actor's), ``privileged`` ``[N, P]`` (the critic's besides), ``action``
-        ``[N, 12]``
-    (joint position targets around the default pose, in units of the action scale, clipped), ``success`` ``[N, 1]``
-    (true in the last step of an episode that succeeded), ``reward``, ``done``, ``terminated``, ``truncated`` ``[N,
-    1]``. A reset may choose worlds by ``_reset``; the step's ``next`` entry keeps the true last observation of an
-    episode.
+    Keys: ``observation`` ``[N, D]``, the actor's; ``privileged`` ``[N, P]``, what the critic sees besides; ``action``
+    ``[N, 12]``, joint position targets around the default pose, in units of the action scale, clipped; ``success``
+    ``[N, 1]``, true in the last step of an episode that succeeded; ``reward``, ``done``, ``terminated`` and
+    ``truncated`` ``[N, 1]``. A reset may choose worlds by ``_reset``; a step's ``next`` entry keeps the true last
+    observation of an episode.
 
     Args:
         task: The task.
