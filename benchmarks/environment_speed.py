@@ -36,6 +36,8 @@ from skatemount.envs.physics.cpu import available_cores
 ACTION_SCALE = 0.3
 """Of the random actions: the robot stumbles about on the board, as in early training."""
 
+WARM_UP, RECORDED = 100, 40
+
 
 class ComposerWorld(EnvBase):
     """The composer task as a TorchRL environment of one world, the straightforward way."""
@@ -80,25 +82,25 @@ class ComposerWorld(EnvBase):
 
 
 class Raw:
-    """Physics alone, from states that the environment came through."""
+    """Physics alone, from states that the environment comes through once its worlds are out of step with each other."""
 
     def __init__(self, env: MountEnv):
         self._physics = env.physics
         self._substeps = env.task.config.physics.substeps
-        env.reset()
         self._states, self._targets = [], []
-        data = TensorDict({"action": torch.zeros(env.num_worlds, 12)}, [env.num_worlds])
-        for _ in range(40):
+        data = env.reset()
+        for i in range(WARM_UP + RECORDED):
             data["action"] = ACTION_SCALE * torch.randn(env.num_worlds, 12)
-            self._states.append(env.physics.raw_state())
-            self._targets.append(env.mdp.targets(data["action"]).numpy().astype(np.float64))
+            if i >= WARM_UP:
+                self._states.append(env.physics.raw_state())
+                self._targets.append(env.mdp.targets(data["action"]).numpy().astype(np.float64))
             _, data = env.step_and_maybe_reset(data)
 
     def run(self, seconds: float) -> float:
         """Environment steps a second; the states are put back outside of the clock."""
         batch, spent, steps, i = self._physics._batch, 0.0, 0, 0
         while spent < seconds:
-            state, targets = self._states[i % 40], self._targets[i % 40]
+            state, targets = self._states[i % RECORDED], self._targets[i % RECORDED]
             batch.state[:] = state
             start = time.perf_counter()
             batch.ctrl[:] = targets
@@ -114,7 +116,11 @@ def mount_env(env: MountEnv) -> Callable[[float], float]:
     actions = [ACTION_SCALE * torch.randn(env.num_worlds, 12) for _ in range(16)]
 
     def run(seconds: float) -> float:
-        data, steps, start = env.reset(), 0, time.perf_counter()
+        data, steps = env.reset(), 0
+        for i in range(WARM_UP):
+            data["action"] = actions[i % 16]
+            _, data = env.step_and_maybe_reset(data)
+        start = time.perf_counter()
         while time.perf_counter() - start < seconds:
             data["action"] = actions[steps % 16]
             _, data = env.step_and_maybe_reset(data)
@@ -164,7 +170,7 @@ def main() -> None:
     options = parser.parse_args()
     cores = available_cores()
     torch.manual_seed(0)
-    torch.set_num_threads(cores)
+    torch.set_num_threads(1)
 
     env = MountEnv(MountTask(stage=options.stage), num_worlds=options.worlds)
     pool = ParallelEnv(cores, [_maker(options.stage, i) for i in range(cores)])
