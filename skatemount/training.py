@@ -111,6 +111,8 @@ class Trainer:
             self._restore(Path(config.resume))
         else:
             self.started_from = self._initialise()
+            if self.started_from is not None:
+                self.ppo.start_gently()
             logger = config.logger
             self.run = RunFolder.create(
                 logger.root,

@@ -149,6 +149,16 @@ class PPO:
         """The present learning rate."""
         return float(self.optimizer.param_groups[0]["lr"])
 
+    def start_gently(self) -> None:
+        """Begin at the lowest learning rate, if it follows the KL: for a policy that can already do something.
+
+        Adam's first steps are of full size whatever the gradient, and a trained policy with its small deviation
+        would be far from itself before the KL is first looked at.
+        """
+        if self._schedule is not None:
+            for group in self.optimizer.param_groups:
+                group["lr"] = self.config.min_learning_rate
+
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Learn from a batch.
 

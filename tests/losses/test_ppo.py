@@ -259,3 +259,16 @@ def test_bf16() -> None:
     assert all(p.dtype == torch.float32 for p in ppo.networks.parameters())
     assert batch["advantage"].dtype == torch.float32
     assert not same(weights(ppo.networks), weights(exact.networks))  # it did round
+
+
+def test_gentle_start_changes_a_trained_policy_little() -> None:
+    """Adam's first step at the full learning rate moved a trained policy by a KL of 5."""
+
+    def first_kl(gently: bool) -> float:
+        networks = make_networks(init_std=0.1)
+        ppo = make(networks, min_learning_rate=1e-5)
+        if gently:
+            ppo.start_gently()
+        return ppo.update(collect(networks))["Loss/kl"]
+
+    assert first_kl(gently=True) < 0.5 * first_kl(gently=False)
