@@ -38,7 +38,7 @@ def stage_config(stage: str) -> Config:
 def one_line(error: pytest.ExceptionInfo[ConfigError]) -> str:
     text = str(error.value)
     assert text and "\n" not in text
-    assert "$VALUE" not in text and len(text) < 400
+    assert "$VALUE" not in text and len(text) < 800
     return text
 
 

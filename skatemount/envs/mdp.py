@@ -88,19 +88,17 @@ class Mdp:
         """
         return self.context.default_pose + self._scale * action.clamp(-self._clip, self._clip)
 
-    def begin(self, sim: SimState, episode: EpisodeState, mask: Tensor, bins: Tensor | None = None) -> EpisodeState:
-        """Start new episodes in the chosen worlds.
+    def begin(self, sim: SimState, bins: Tensor | None = None) -> EpisodeState:
+        """New episodes.
 
         Args:
-            sim: The state, with the start states of those worlds in it.
-            episode: The episodes of all worlds.
-            mask: ``[N]`` bool.
-            bins: ``[N]`` int64, the parts of a curriculum that the starts come from.
+            sim: The start states, ``[N]``.
+            bins: ``[N]`` int64, the parts of a curriculum that they come from.
 
         Returns:
-            The episodes after it.
+            ``[N]`` episodes at their start.
         """
-        fresh = EpisodeState.zeros(len(mask))
+        fresh = EpisodeState.zeros(sim.base_pos.shape[0])
         if bins is not None:
             fresh.bin = bins
         distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
@@ -108,14 +106,14 @@ class Mdp:
         fresh.on_deck = on_deck
         fresh.off_time = torch.where(on_deck, 0.0, torch.inf)
         fresh.touching = on_deck | success.feet_elsewhere(sim)
-        fresh.distance = fresh.previous_distance = distance
+        fresh.distance, fresh.previous_distance = distance, distance.clone()
         fresh.first_contact = torch.where(on_deck.any(1), 0.0, torch.inf)
         relative = sim.board_rot.transpose(-1, -2)
         place = (relative @ (sim.base_pos - sim.board_pos).unsqueeze(-1)).squeeze(-1)
         heading = (relative @ sim.base_rot[..., :1]).squeeze(-1)
         fresh.start = torch.cat((place[:, :2], torch.atan2(heading[:, 1:2], heading[:, :1])), 1)
         self._commander.update(sim, fresh)
-        return fresh.where(mask, episode)  # type: ignore[attr-defined]
+        return fresh
 
     def advance(self, sim: SimState, episode: EpisodeState, action: Tensor, diverged: Tensor) -> Outcome:
         """Account for a control step, in place.

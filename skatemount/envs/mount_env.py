@@ -67,6 +67,7 @@ class MountEnv(EnvBase):
         self.statistics = EpisodeStatistics(self.mdp, n)
         self.listeners: list[Listener] = [self.statistics.add]
         self._place: Place | None = None
+        self._sim: SimState | None = None
         self._substeps = config.substeps
         self._random_phase = random_phase
         self._make_specs(n)
@@ -80,6 +81,8 @@ class MountEnv(EnvBase):
     @property
     def sim(self) -> SimState:
         """The present state of every world."""
+        if self._sim is None:
+            self._sim = self.physics.state()
         return self._sim
 
     @property
@@ -117,27 +120,31 @@ class MountEnv(EnvBase):
         mask = torch.ones(self.num_worlds, dtype=torch.bool)
         if tensordict is not None and "_reset" in tensordict.keys():
             mask = tensordict["_reset"].reshape(self.num_worlds)
-        self.restart(mask)
-        return self._observation(torch.zeros_like(mask))
+        rows, sim, begun = self._restart(mask)
+        result = self.observation_spec.zero()
+        # Nobody looks at the rows of worlds that go on, so only those that start anew are worked out.
+        for key, values in zip(("observation", "privileged"), self.mdp.observe(sim, begun)):
+            result[key][rows] = values
+        return result
 
-    def restart(self, mask: Tensor) -> None:
-        """Start new episodes in some worlds.
-
-        Args:
-            mask: ``[N]`` bool.
-        """
+    def _restart(self, mask: Tensor) -> tuple[Tensor, SimState, EpisodeState]:
+        """Start new episodes in the worlds of a mask; their rows, states and episodes."""
         self._randomizer.new_episodes(self.physics, mask)
         start = self._queue.take(mask)
         self.physics.reset(mask, start)
         if self._pushes.active:
             self._pushes.restart(mask)
         self.statistics.restart(mask)
-        self._sim = self.physics.state()
-        self._episode = self.mdp.begin(self._sim, self._episode, mask, start.bin)
+        rows = mask.nonzero().squeeze(1)
+        sim = self.physics.state(rows)
+        begun = self.mdp.begin(sim, start.bin[rows])
         if self._random_phase and not self._begun:
-            longest = self.mdp.context.episode_steps
-            self._episode.step = torch.randint(longest, (self.num_worlds,), generator=self.generator)
+            begun.step = torch.randint(self.mdp.context.episode_steps, (len(rows),), generator=self.generator)
         self._begun = True
+        # mypy does not see what tensorclass adds.
+        self._episode[rows] = begun  # type: ignore[index]
+        self._sim = None
+        return rows, sim, begun
 
     def place_starts(self, place: Place) -> None:
         """Let a curriculum choose where starts are, from the next start that is drawn on.
@@ -154,26 +161,23 @@ class MountEnv(EnvBase):
         if self._pushes.active:
             self.physics.push(*self._pushes.due())
         self.physics.step(self.mdp.targets(action), self._substeps)
-        self._sim = self.physics.state()
+        sim = self._sim = self.physics.state()
         diverged = self.physics.diverged()
-        outcome = self.mdp.advance(self._sim, self._episode, action, diverged)
+        outcome = self.mdp.advance(sim, self._episode, action, diverged)
         done = outcome.terminated | outcome.truncated
         for listener in self.listeners:
             listener(self._episode, outcome, done)
-        result = self._observation(outcome.succeeded)
-        for key in ("observation", "privileged"):
-            # What a failed world shows may be of any size, and would stay in the running means of the networks.
-            result[key] = torch.where(diverged.unsqueeze(1), 0.0, result[key])
+        # What a failed world shows may be of any size, and would stay in the running means of the networks.
+        observation, privileged = (
+            v.masked_fill(diverged.unsqueeze(1), 0.0) for v in self.mdp.observe(sim, self._episode)
+        )
+        values = {"observation": observation, "privileged": privileged, "success": outcome.succeeded.unsqueeze(1)}
+        result = TensorDict(values, batch_size=self.batch_size)
         result["reward"] = outcome.reward.unsqueeze(1)
         result["done"] = done.unsqueeze(1)
         result["terminated"] = outcome.terminated.unsqueeze(1)
         result["truncated"] = outcome.truncated.unsqueeze(1)
         return result
-
-    def _observation(self, succeeded: Tensor) -> TensorDict:
-        observation, privileged = self.mdp.observe(self._sim, self._episode)
-        values = {"observation": observation, "privileged": privileged, "success": succeeded.unsqueeze(1)}
-        return TensorDict(values, batch_size=self.batch_size)
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """Stop the engine."""

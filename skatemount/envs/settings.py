@@ -12,20 +12,20 @@ from omegaconf.errors import OmegaConfBaseException
 from skatemount.envs.commands import CommandConfig
 from skatemount.envs.entities.a1 import A1Config
 from skatemount.envs.entities.skateboard import SkateboardConfig
-from skatemount.envs.observations import ObservationTerm
+from skatemount.envs.observations import OBSERVATIONS, ObservationTerm
 from skatemount.envs.physics.base import PhysicsConfig
 from skatemount.envs.randomization import RandomizationConfig
-from skatemount.envs.rewards import RewardTerm
+from skatemount.envs.rewards import REWARDS, RewardTerm
 from skatemount.envs.starts import StartConfig
 from skatemount.envs.success import CRITERIA
-from skatemount.envs.terminations import TerminationTerm
+from skatemount.envs.terminations import TERMINATIONS, TerminationTerm
 from skatemount.errors import ConfigError
 
 
 def _terms(kind: type, table: dict[str, Any], where: str) -> dict[str, Any]:
     """A table's rows as dataclasses.
 
-    The tables are declared with rows of any type: Hydra could not add a row (`+reward.still.weight=1`) to a table of
+    The tables are declared with rows of any type: Hydra could not add a row (`reward.still.weight=1`) to a table of
     dataclasses.
     """
     rows = {}
@@ -33,12 +33,17 @@ def _terms(kind: type, table: dict[str, Any], where: str) -> dict[str, Any]:
         if isinstance(row, kind):
             rows[name] = row
             continue
-        known = ", ".join(f.name for f in fields(kind))
+        known = [f.name for f in fields(kind)]
+        if row is not None and not isinstance(row, dict):
+            raise ConfigError(f"{where}.{name}={row} must be a term's settings, of {', '.join(known)}")
+        for key, value in (row or {}).items():
+            if key not in known:
+                raise ConfigError(f"{where}.{name}.{key}={value} is not a setting of a term; known: {', '.join(known)}")
         try:
             rows[name] = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(kind), row or {}))
         except (OmegaConfBaseException, ValueError) as error:
             said = str(error).splitlines()[0]
-            raise ConfigError(f"{where}.{name}={row}: {said}; a row may have {known}") from error
+            raise ConfigError(f"{where}.{name}={row}: {said}") from error
     return rows
 
 
@@ -102,5 +107,14 @@ class TaskConfig:
             raise ConfigError(f"episode_length={self.episode_length} must be above 0 seconds, and finite")
         if self.success not in CRITERIA:
             raise ConfigError(f"success={self.success} must be one of {', '.join(CRITERIA)}")
+        tables = (
+            (REWARDS, self.reward),
+            (TERMINATIONS, self.termination),
+            (OBSERVATIONS, self.observation.policy),
+            (OBSERVATIONS, self.observation.privileged),
+        )
+        for registry, table in tables:
+            for name, term in table.items():
+                registry.bind(name, term.params)
         for part in ("robot", "board", "physics", "start", "command", "randomization"):
             getattr(self, part).validate(part)

@@ -143,10 +143,9 @@ class MountTask(composer.Task):
         data.eq_active[index.weld] = bool(start.board_fixed[0])
         data.mocap_pos[index.floor_mocap, 2] = float(start.ground_height[0])
         physics.forward()
-        every = torch.ones(1, dtype=torch.bool)
         # Kept: what composer computes once more after a reset, with the actuators off, has other contact forces.
         self._sim = self._state(physics)
-        self._episode = self._mdp.begin(self._sim, EpisodeState.zeros(1), every)
+        self._episode = self._mdp.begin(self._sim)
         self._outcome = self._observed = None
 
     def before_step(self, physics: Any, action: np.ndarray, random_state: np.random.RandomState) -> None:

@@ -14,7 +14,6 @@ from skatemount.envs.observations import OBSERVATIONS, ObservationTable, Observa
 from skatemount.envs.physics.base import WorldStart
 from skatemount.envs.physics.cpu import CpuPhysics
 from skatemount.envs.rewards import REWARDS, RewardTable, RewardTerm
-from skatemount.envs.state import EpisodeState
 from skatemount.envs.task import MountTask
 from skatemount.envs.terms import TaskContext
 from skatemount.errors import ConfigError
@@ -113,7 +112,7 @@ def test_mirrored_worlds_stay_mirrored(fixed: bool, where: list[str]) -> None:
     start = task.make_sampler().draw(1, generator)
     physics.reset(torch.ones(2, dtype=torch.bool), WorldStart.cat([start, mirrored(start)]))
     sim = physics.state()
-    episode = mdp.begin(sim, EpisodeState.zeros(2), torch.ones(2, dtype=torch.bool))
+    episode = mdp.begin(sim)
 
     everything = ObservationTable(all_terms(), mdp.context)
     rewards = RewardTable({name: RewardTerm(weight=1.0) for name in REWARDS.names()}, mdp.context)

@@ -145,7 +145,7 @@ class Course:
         self.mdp: Mdp = task(*overrides).make_mdp(torch.Generator())
         self.every = torch.ones(1, dtype=torch.bool)
         self.outcome: Outcome
-        self.episode: EpisodeState = self.mdp.begin(sim, EpisodeState.zeros(1), self.every)
+        self.episode: EpisodeState = self.mdp.begin(sim)
 
     def go(self, sim: SimState, steps: int = 1) -> bool:
         """Some steps in one state; whether the robot is mounted after them."""

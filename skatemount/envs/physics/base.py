@@ -82,8 +82,12 @@ class Physics(Protocol):
         """
         ...
 
-    def state(self) -> SimState:
-        """The state of every world; the tensors are the caller's."""
+    def state(self, rows: Tensor | None = None) -> SimState:
+        """The state of every world; the tensors are the caller's.
+
+        Args:
+            rows: ``[K]`` int64, only these worlds.
+        """
         ...
 
     def field(self, name: str) -> Tensor:

@@ -101,17 +101,18 @@ class CpuPhysics:
         dof = self.index.base_dof.start
         self._qvel[:, dof : dof + 3] += np.where(mask.numpy()[:, None], velocity.numpy(), 0.0)
 
-    def state(self) -> SimState:
-        """The state of every world, in memory of its own."""
+    def state(self, rows: Tensor | None = None) -> SimState:
+        """The state of every world, or of some, in memory of its own; see `Physics.state`."""
+        which = slice(None) if rows is None else rows.numpy()
 
         def copy(values: np.ndarray) -> Tensor:
             return torch.from_numpy(values.astype(np.float32))
 
         return self._reader.read(
-            copy(self._sensordata),
-            copy(self._qacc[:, self._joint_dof]),
-            copy(self._mocap[:, self.index.floor_mocap, 2]),
-            torch.from_numpy(self._weld[:, self.index.weld] > 0),
+            copy(self._sensordata[which]),
+            copy(self._qacc[which][:, self._joint_dof]),
+            copy(self._mocap[which, self.index.floor_mocap, 2]),
+            torch.from_numpy(self._weld[which, self.index.weld] > 0),
         )
 
     def field(self, name: str) -> Tensor:
