@@ -141,8 +141,10 @@ class MountEnv(EnvBase):
         if self._random_phase and not self._begun:
             begun.step = torch.randint(self.mdp.context.episode_steps, (len(rows),), generator=self.generator)
         self._begun = True
-        # mypy does not see what tensorclass adds.
-        self._episode[rows] = begun  # type: ignore[index]
+        # A copy: what the step handed out (``terminated``) shares its memory. Mypy does not see tensorclass's own.
+        episode = self._episode.clone()  # type: ignore[attr-defined]
+        episode[rows] = begun
+        self._episode = episode
         self._sim = None
         return rows, sim, begun
 
