@@ -38,26 +38,36 @@ def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
         overrides = list(HydraConfig.get().overrides.task)
         try:
             verb(configuration.to_object(composed), overrides)
-        except (ConfigError, FloatingPointError) as error:
+        except (ConfigError, FloatingPointError, OSError) as error:
             # Caught here because Hydra would print a line of its own first.
             fail(error)
 
     def fail(error: Exception) -> NoReturn:
         if os.environ.get("SKATEMOUNT_TRACEBACK"):
             raise error
-        text = str(error) if isinstance(error, ConfigError) else configuration.one_line(error)
+        if isinstance(error, OSError) and error.filename is not None:
+            text = f"{error.filename}: {error.strerror}"
+        else:
+            text = str(error) if isinstance(error, ConfigError) else configuration.one_line(error)
         print(f"skatemount.{name}: {text}", file=sys.stderr)
         sys.exit(2)
 
     try:
+        sys.argv[1:] = _stage_first(sys.argv[1:])
         _check_stages(sys.argv[1:])
         application()
     except KeyboardInterrupt:
         sys.exit(130)
     except Exception as error:
-        if isinstance(error, ConfigError) or _from_hydra(error):
+        if isinstance(error, ConfigError | OSError) or _from_hydra(error):
             fail(error)
         raise
+
+
+def _stage_first(arguments: list[str]) -> list[str]:
+    """Put the stage before what is chosen on top of it, such as an experiment: the later one wins in Hydra."""
+    stage = [a for a in arguments if a.lstrip("+").startswith("stage=")]
+    return stage + [a for a in arguments if a not in stage]
 
 
 def _check_stages(arguments: list[str]) -> None:

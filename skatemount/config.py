@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import difflib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -111,14 +114,24 @@ class Config(TaskConfig):
         self.network.validate("network")
         self.algorithm.validate("algorithm")
         self.curriculum.validate("curriculum")
+        if self.curriculum.kind != "none" and self.success != "mount":
+            raise ConfigError(
+                f"curriculum.kind={self.curriculum.kind} opens start states about the board, and stage "
+                f"{self.stage.name} is not about mounting it: leave out the curriculum"
+            )
+        if not self.logger.root:
+            raise ConfigError("logger.root='' must name a folder, such as runs")
+        for name in ("progress_every", "plot_every"):
+            if not getattr(self.logger, name) >= 0:
+                raise ConfigError(f"logger.{name}={getattr(self.logger, name)} must be 0 or more, in seconds")
         if self.precision not in PRECISIONS:
             raise ConfigError(f"precision={self.precision} must be one of {', '.join(PRECISIONS)}")
         for name in ("total_frames", "episodes"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name}={getattr(self, name)} must be at least 1")
-        for name in ("seed", "torch_threads"):
-            if getattr(self, name) < 0:
-                raise ConfigError(f"{name}={getattr(self, name)} must be 0 or more")
+        for name, most in (("seed", 2**62), ("torch_threads", 1024)):
+            if not 0 <= getattr(self, name) <= most:
+                raise ConfigError(f"{name}={getattr(self, name)} must be 0 or more, and at most {most}")
         if self.collector.steps < 1:
             raise ConfigError(f"collector.steps={self.collector.steps} must be at least 1")
         for name in ("checkpoint_every", "keep_checkpoints", "evaluate_episodes"):
@@ -127,6 +140,11 @@ class Config(TaskConfig):
         for name in ("evaluate_every", "final_episodes"):
             if getattr(self.logger, name) < 0:
                 raise ConfigError(f"logger.{name}={getattr(self.logger, name)} must be 0 (none) or more")
+        batch = self.physics.num_worlds * self.collector.steps
+        if self.algorithm.minibatches > batch:
+            raise ConfigError(
+                f"algorithm.minibatches={self.algorithm.minibatches} must be at most the {batch} steps of a batch"
+            )
 
 
 def _schema() -> DictConfig:
@@ -251,6 +269,7 @@ def one_line(error: BaseException) -> str:
                     "set HYDRA_FULL_ERROR",
                     "provider=",
                     "full_key:",
+                    "To append to your config",
                 )
             )
         ]
@@ -261,4 +280,18 @@ def one_line(error: BaseException) -> str:
         if keys and keys[0] not in text:
             text += f" ({keys[0]})"
         said.append(text)
-    return ": ".join(said)
+    text = ": ".join(said)
+    missing = re.search(r"Key '(\w+)' (?:not in '(\w+)'|is not in struct)", text)
+    close = difflib.get_close_matches(missing[1], _settings(missing[2]), n=3) if missing else []
+    return f"{text}; did you mean {' or '.join(close)}?" if close else text
+
+
+def _settings(kind: str | None, of: type = Config) -> list[str]:
+    """Names of the settings of a dataclass of the configuration; of all of them if it is not known."""
+    names: list[str] = []
+    for part in dataclasses.fields(of):
+        if kind in (None, of.__name__):
+            names.append(part.name)
+        if isinstance(part.default_factory, type) and dataclasses.is_dataclass(part.default_factory):
+            names += _settings(kind, part.default_factory)
+    return names

@@ -32,8 +32,14 @@ def evaluate(config: Config, overrides: list[str]) -> None:
     from skatemount.benchmark.evaluation import EVALUATION_SEED, evaluate_policy
     from skatemount.benchmark.suites import Trial
     from skatemount.envs.physics.cpu import available_cores
+    from skatemount.errors import ConfigError
     from skatemount.provenance import package_versions
 
+    if config.json is not None:
+        # Now rather than after all the episodes.
+        if Path(config.json).is_dir():
+            raise ConfigError(f"json={config.json} is a folder; it must name a file")
+        Path(config.json).parent.mkdir(parents=True, exist_ok=True)
     trial = Trial.prepare(config, overrides)
     torch.set_num_threads(config.torch_threads or available_cores())
     with Progress(transient=True, disable=not sys.stdout.isatty()) as bar:

@@ -268,3 +268,35 @@ def test_missing_configuration_is_one_line(tmp_path: Path, monkeypatch: pytest.M
     with pytest.raises(ConfigError) as error:
         configuration.config_dir()
     assert "install skatemount again" in one_line(error)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (["reward.feet_proximity.params.scale=abc"], "must be of type float"),
+        (["reward.feet_proximity.params.scale=0"], "must be above 0"),
+        (["reward.board_speed.params.horizontal=7"], "must be of type bool"),
+        (["algorithm.learning_rate=inf"], "algorithm.learning_rate"),
+        (["physics.impratio=-1"], "physics.impratio"),
+        (["algorithm.minibatches=100000000"], "algorithm.minibatches"),
+        (["logger.root="], "logger.root"),
+    ],
+)
+def test_values_that_would_fail_later_are_refused_at_once(overrides: list[str], expected: str) -> None:
+    with pytest.raises(ConfigError, match=expected):
+        compose("balance", overrides)
+
+
+def test_a_curriculum_about_the_board_is_refused_for_the_gait() -> None:
+    with pytest.raises(ConfigError, match="curriculum.kind=auto"):
+        compose("gait", ["+curriculum=auto"])
+
+
+def test_a_misspelt_setting_is_answered_with_the_nearest() -> None:
+    with pytest.raises(ConfigError, match="did you mean total_frames") as error:
+        compose("balance", ["total_frame=10"])
+    assert "append" not in str(error.value)
+
+
+def test_terms_can_be_added_without_a_plus() -> None:
+    assert compose("balance", ["reward.still.weight=1"]).reward["still"].weight == 1.0

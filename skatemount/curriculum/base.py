@@ -55,5 +55,7 @@ class CurriculumConfig:
         for name in ("steady", "solved", "replay"):
             if not 0 < getattr(self, name) < 1:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be a share between 0 and 1")
+        if not self.memory > 0:
+            raise ConfigError(f"{where}.memory={self.memory} must be above 0")
         if not 0 < self.least <= self.memory:
             raise ConfigError(f"{where}.least={self.least} must be above 0 and at most memory={self.memory}")

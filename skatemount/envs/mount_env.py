@@ -140,6 +140,7 @@ class MountEnv(EnvBase):
         begun = self.mdp.begin(sim, start.bin[rows])
         if self._random_phase and not self._begun:
             begun.step = torch.randint(self.mdp.context.episode_steps, (len(rows),), generator=self.generator)
+            self.statistics.leave_out()
         self._begun = True
         # A copy: what the step handed out (``terminated``) shares its memory. Mypy does not see tensorclass's own.
         episode = self._episode.clone()  # type: ignore[attr-defined]

@@ -52,6 +52,8 @@ class SolverConfig:
         """Raise `ConfigError` for values that cannot be simulated."""
         if not 1e-4 <= self.timestep <= 0.02:
             raise ConfigError(f"{where}.timestep={self.timestep} must be within 0.0001 and 0.02 seconds")
+        if not 0 < self.impratio <= 1000:
+            raise ConfigError(f"{where}.impratio={self.impratio} must be above 0 and at most 1000")
         for name in ("substeps", "iterations", "ls_iterations"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")

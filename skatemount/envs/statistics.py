@@ -31,6 +31,7 @@ class EpisodeStatistics:
         self._returns = torch.zeros(len(self._rewards), self._n)
         self._feet = torch.zeros(self._n)
         self._steps = torch.zeros(self._n)
+        self._counted = torch.ones(self._n, dtype=torch.bool)
         self._forget()
 
     def restart(self, mask: Tensor) -> None:
@@ -42,6 +43,11 @@ class EpisodeStatistics:
         self._returns[:, mask] = 0.0
         self._feet[mask] = 0.0
         self._steps[mask] = 0.0
+        self._counted |= mask
+
+    def leave_out(self) -> None:
+        """Do not count the episodes that are running: they began in the middle."""
+        self._counted[:] = False
 
     def _forget(self) -> None:
         self._episodes = self._successes = self._length = self._feet_sum = self._mount_time = 0.0
@@ -62,16 +68,18 @@ class EpisodeStatistics:
         self._steps += 1.0
         if not done.any():
             return
-        ended = done.to(torch.float32)
+        counted = done & self._counted
+        ended = counted.to(torch.float32)
+        succeeded = outcome.succeeded & counted
         self._episodes += float(ended.sum())
-        self._successes += float(outcome.succeeded.sum())
-        self._length += float((episode.step * done).sum())
+        self._successes += float(succeeded.sum())
+        self._length += float((episode.step * counted).sum())
         self._feet_sum += float((self._feet * ended / self._steps).sum())
         times = success.time_to_mount(episode, self._step)
-        self._mount_time += float(torch.where(outcome.succeeded, times, 0.0).sum())
+        self._mount_time += float(torch.where(succeeded, times, 0.0).sum())
         self._shares = self._shares + self._returns @ ended
-        self._end_counts = self._end_counts + (outcome.ends & done).sum(1)
-        self._time_outs += float(outcome.truncated.sum())
+        self._end_counts = self._end_counts + (outcome.ends & counted).sum(1)
+        self._time_outs += float((outcome.truncated & counted).sum())
         self.restart(done)
 
     def pop(self) -> dict[str, float]:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import difflib
 import inspect
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import torch
@@ -142,7 +143,24 @@ class Registry:
             if key not in known:
                 names = ", ".join(known) or "none"
                 raise ConfigError(f"{self.kind}.{name}.params.{key} is not a parameter; known: {names}")
+        types = get_type_hints(function)
+        for key, value in params.items():
+            _check_parameter(f"{self.kind}.{name}.params.{key}", value, types[key])
         return partial(function, **params) if params else function
+
+
+def _check_parameter(where: str, value: Any, kind: Any) -> None:
+    allowed = get_args(kind) or (kind,)
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if float in allowed and number:
+        if not math.isfinite(value):
+            raise ConfigError(f"{where}={value} must be a finite number")
+        if where.endswith((".scale", ".sigma")) and value <= 0:
+            raise ConfigError(f"{where}={value} must be above 0: it is divided by")
+        return
+    if isinstance(value, bool) != (bool in allowed) or not isinstance(value, allowed):
+        names = " or ".join("null" if t is type(None) else t.__name__ for t in allowed)
+        raise ConfigError(f"{where}={value} must be of type {names}")
 
 
 def upright(sim: SimState) -> Tensor:

@@ -65,8 +65,8 @@ class AlgorithmConfig:
         positive = ("learning_rate", "min_learning_rate", "max_learning_rate", "clip", "horizon", "trace")
         for name in (*positive, "max_grad_norm", "target_kl"):
             value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise ConfigError(f"{where}.{name}={value} must be above 0")
+            if value is not None and not 0 < value < math.inf:
+                raise ConfigError(f"{where}.{name}={value} must be above 0 and finite")
         if self.min_learning_rate > self.max_learning_rate:
             raise ConfigError(
                 f"{where}.min_learning_rate={self.min_learning_rate} must be at most "
