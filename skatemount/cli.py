@@ -65,9 +65,13 @@ def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
 
 
 def _stage_first(arguments: list[str]) -> list[str]:
-    """Put the stage before what is chosen on top of it, such as an experiment: the later one wins in Hydra."""
-    stage = [a for a in arguments if a.lstrip("+").startswith("stage=")]
-    return stage + [a for a in arguments if a not in stage]
+    """Put the stage before what is chosen on top of it, such as an experiment: the later one wins in Hydra.
+
+    Only overrides change places, among themselves: options such as ``-m`` stay where they are.
+    """
+    settings = [a for a in arguments if "=" in a and not a.startswith("-")]
+    ordered = iter(sorted(settings, key=lambda a: not a.startswith("+stage=")))
+    return [next(ordered) if a in settings else a for a in arguments]
 
 
 def _check_stages(arguments: list[str]) -> None:

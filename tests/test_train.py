@@ -390,3 +390,10 @@ def test_sigterm_leaves_a_run_that_can_go_on(runs_root: Path) -> None:
     left = RunFolder.open(next(runs_root.glob("skatemount/*")))
     assert left.latest is not None
     assert load_training_state(left.latest)["frames"] >= 2 * BATCH
+
+
+def test_the_stage_comes_before_what_is_chosen_on_top_of_it() -> None:
+    from skatemount.cli import _stage_first
+
+    given = ["-m", "+experiment=paper", "seed=0,1", "+stage=unfixed", "--cfg", "job"]
+    assert _stage_first(given) == ["-m", "+stage=unfixed", "+experiment=paper", "seed=0,1", "--cfg", "job"]
