@@ -33,9 +33,6 @@ from torchrl.envs import EnvBase, ParallelEnv
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.physics.cpu import available_cores
 
-ACTION_SCALE = 0.3
-"""Of the random actions: the robot stumbles about on the board, as in early training."""
-
 WARM_UP, RECORDED = 100, 40
 
 
@@ -84,13 +81,13 @@ class ComposerWorld(EnvBase):
 class Raw:
     """Physics alone, from states that the environment comes through once its worlds are out of step with each other."""
 
-    def __init__(self, env: MountEnv):
+    def __init__(self, env: MountEnv, scale: float):
         self._physics = env.physics
         self._substeps = env.task.config.physics.substeps
         self._states, self._targets = [], []
         data = env.reset()
         for i in range(WARM_UP + RECORDED):
-            data["action"] = ACTION_SCALE * torch.randn(env.num_worlds, 12)
+            data["action"] = scale * torch.randn(env.num_worlds, 12)
             if i >= WARM_UP:
                 self._states.append(env.physics.raw_state())
                 self._targets.append(env.mdp.targets(data["action"]).numpy().astype(np.float64))
@@ -111,9 +108,9 @@ class Raw:
         return steps / spent
 
 
-def mount_env(env: MountEnv) -> Callable[[float], float]:
+def mount_env(env: MountEnv, scale: float) -> Callable[[float], float]:
     """MountEnv with auto-reset."""
-    actions = [ACTION_SCALE * torch.randn(env.num_worlds, 12) for _ in range(16)]
+    actions = [scale * torch.randn(env.num_worlds, 12) for _ in range(16)]
 
     def run(seconds: float) -> float:
         data, steps = env.reset(), 0
@@ -130,13 +127,13 @@ def mount_env(env: MountEnv) -> Callable[[float], float]:
     return run
 
 
-def parallel_env(env: ParallelEnv, processes: int) -> Callable[[float], float]:
+def parallel_env(env: ParallelEnv, processes: int, scale: float) -> Callable[[float], float]:
     """ParallelEnv with auto-reset."""
 
     def run(seconds: float) -> float:
         data, steps, start = env.reset(), 0, time.perf_counter()
         while time.perf_counter() - start < seconds:
-            data["action"] = ACTION_SCALE * torch.randn(processes, 12)
+            data["action"] = scale * torch.randn(processes, 12)
             _, data = env.step_and_maybe_reset(data)
             steps += 1
         return steps * processes / (time.perf_counter() - start)
@@ -144,15 +141,15 @@ def parallel_env(env: ParallelEnv, processes: int) -> Callable[[float], float]:
     return run
 
 
-def _loop(job: tuple[str, int, float]) -> tuple[int, float]:
-    stage, seed, seconds = job
+def _loop(job: tuple[str, int, float, float]) -> tuple[int, float]:
+    stage, seed, seconds, scale = job
     torch.set_num_threads(1)
     env = composer.Environment(MountTask(stage=stage), random_state=seed, recompile_mjcf_every_episode=False)
     rng = np.random.default_rng(seed)
     step = env.reset()
     steps, start = 0, time.perf_counter()
     while time.perf_counter() - start < seconds:
-        step = env.step(ACTION_SCALE * rng.standard_normal(12))
+        step = env.step(scale * rng.standard_normal(12))
         if step.last():
             env.reset()
         steps += 1
@@ -166,9 +163,12 @@ def main() -> None:
     parser.add_argument("--worlds", type=int, default=1024)
     parser.add_argument("--seconds", type=float, default=8.0, help="for each figure and round")
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument(
+        "--action-scale", type=float, default=0.3, help="of the random actions; 0.3: as early in training, many falls"
+    )
     parser.add_argument("--json", type=Path, help="file for the figures")
     options = parser.parse_args()
-    cores = available_cores()
+    cores, scale = available_cores(), options.action_scale
     torch.manual_seed(0)
     torch.set_num_threads(1)
 
@@ -177,13 +177,13 @@ def main() -> None:
     workers = multiprocessing.get_context("spawn").Pool(cores)
 
     def numpy_loop(seconds: float) -> float:
-        done = workers.map(_loop, [(options.stage, i, seconds) for i in range(cores)], chunksize=1)
+        done = workers.map(_loop, [(options.stage, i, seconds, scale) for i in range(cores)], chunksize=1)
         return sum(steps / spent for steps, spent in done)
 
     runs = {
-        "raw": Raw(env).run,
-        "MountEnv": mount_env(env),
-        "ParallelEnv": parallel_env(pool, cores),
+        "raw": Raw(env, scale).run,
+        "MountEnv": mount_env(env, scale),
+        "ParallelEnv": parallel_env(pool, cores, scale),
         "numpy loop": numpy_loop,
     }
     for run in runs.values():

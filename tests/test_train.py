@@ -342,7 +342,6 @@ def environment() -> dict[str, str]:
     return {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "200"}
 
 
-@pytest.mark.slow
 def test_multirun_makes_a_run_a_combination(runs_root: Path) -> None:
     tiny = [each for each in TINY if not each.startswith("episode_length")]
     arguments = ["-m", "+stage=balance,mount", "seed=0,1", *tiny, "total_frames=32", "init_from=null"]
