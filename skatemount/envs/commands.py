@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs.state import EpisodeState, SimState
-from skatemount.errors import ConfigError
+from skatemount.errors import ConfigError, check_range
 
 MODES = ("sampled", "board", "zero")
 
@@ -41,9 +41,7 @@ class CommandConfig:
         if self.mode not in MODES:
             raise ConfigError(f"{where}.mode={self.mode} must be one of {', '.join(MODES)}")
         for name in ("forward", "left", "turn"):
-            value = getattr(self, name)
-            if not (len(value) == 2 and value[0] <= value[1]):
-                raise ConfigError(f"{where}.{name}={value} must be a range [low, high] with low <= high")
+            check_range(f"{where}.{name}", getattr(self, name))
         if self.resample <= 0:
             raise ConfigError(f"{where}.resample={self.resample} must be above 0 seconds")
         if not 0 <= self.standing <= 1:

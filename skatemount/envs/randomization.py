@@ -12,7 +12,7 @@ from torch import Tensor
 
 from skatemount.envs.entities.a1 import scale_gains
 from skatemount.envs.scene import SceneIndex
-from skatemount.errors import ConfigError
+from skatemount.errors import ConfigError, check_range
 
 
 def _one() -> list[float]:
@@ -60,8 +60,7 @@ class RandomizationConfig:
         for name, value in vars(self).items():
             if value is None:
                 continue
-            if not (len(value) == 2 and value[0] <= value[1] and all(math.isfinite(bound) for bound in value)):
-                raise ConfigError(f"{where}.{name}={value} must be a range [low, high] with low <= high")
+            check_range(f"{where}.{name}", value)
             if name not in additive and value[0] <= 0:
                 raise ConfigError(f"{where}.{name}={value} must be above 0")
 

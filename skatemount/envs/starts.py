@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -14,7 +13,7 @@ from skatemount.envs.geometry import quat_from_euler, quat_to_matrix, rotate
 from skatemount.envs.legs import Legs
 from skatemount.envs.physics.base import WorldStart
 from skatemount.envs.terms import TaskContext
-from skatemount.errors import ConfigError
+from skatemount.errors import ConfigError, check_range
 
 _CAPSULE_RADIUS = 0.02
 _ALONG = torch.linspace(0.0, 1.0, 6)
@@ -70,10 +69,8 @@ class StartConfig:
     def validate(self, where: str = "start") -> None:
         """Raise `ConfigError` for ranges that cannot be drawn from."""
         for name, value in vars(self).items():
-            if not isinstance(value, list):
-                continue
-            if not (len(value) == 2 and value[0] <= value[1] and all(math.isfinite(bound) for bound in value)):
-                raise ConfigError(f"{where}.{name}={value} must be a range [low, high] with low <= high")
+            if isinstance(value, list):
+                check_range(f"{where}.{name}", value)
         if not 0.0 <= self.board_fixed <= 1.0:
             raise ConfigError(f"{where}.board_fixed={self.board_fixed} must be a share between 0 and 1")
         for name in ("roll", "pitch"):
