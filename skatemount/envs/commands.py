@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from skatemount.envs.geometry import facing
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.errors import ConfigError, check_range
 
 MODES = ("sampled", "board", "zero")
+ENDS = ("nearer", "front")
 
 
 @dataclass
@@ -19,7 +21,8 @@ class CommandConfig:
     """Where velocity commands come from.
 
     Attributes:
-        mode: ``sampled`` from the ranges, ``board`` (toward the board, the paper's law) or ``zero``.
+        mode: ``sampled`` from the ranges, ``board`` (toward the board, see `toward_board`) or ``zero``.
+        turn_to: Which end of the board to turn to when commanded toward it: the ``nearer``, or its ``front`` (paper).
         forward: Range of the forward velocity, m/s.
         left: Range of the velocity to the left, m/s.
         turn: Range of the turning rate, rad/s.
@@ -29,6 +32,7 @@ class CommandConfig:
     """
 
     mode: str = "board"
+    turn_to: str = "nearer"
     forward: list[float] = field(default_factory=lambda: [-0.5, 1.0])
     left: list[float] = field(default_factory=lambda: [-0.5, 0.5])
     turn: list[float] = field(default_factory=lambda: [-1.0, 1.0])
@@ -40,6 +44,8 @@ class CommandConfig:
         """Raise `ConfigError` for settings that cannot be used."""
         if self.mode not in MODES:
             raise ConfigError(f"{where}.mode={self.mode} must be one of {', '.join(MODES)}")
+        if self.turn_to not in ENDS:
+            raise ConfigError(f"{where}.turn_to={self.turn_to} must be one of {', '.join(ENDS)}")
         for name in ("forward", "left", "turn"):
             check_range(f"{where}.{name}", getattr(self, name))
         if self.resample <= 0:
@@ -50,7 +56,7 @@ class CommandConfig:
             raise ConfigError(f"{where}.deadband={self.deadband} must be 0 or more, in m/s")
 
 
-def toward_board(sim: SimState) -> Tensor:
+def toward_board(sim: SimState, turn_to: str = "nearer") -> Tensor:
     """Velocity command toward the board, the law of the paper's code.
 
     With p the board's place in the trunk's frame, psi its yaw and theta the bearing of p: within 0.5 m
@@ -58,11 +64,15 @@ def toward_board(sim: SimState) -> Tensor:
 
     Args:
         sim: The state.
+        turn_to: ``nearer``: psi is the yaw of the end that the trunk faces, within a quarter turn, as a board has no
+            front; ``front``: of the board's x axis (the paper's code).
 
     Returns:
         ``[N, 3]`` forward, left (m/s), turn left (rad/s).
     """
     place, x_axis = sim.board_pos_base, sim.board_rot_base[..., 0]
+    if turn_to == "nearer":
+        x_axis = x_axis * facing(sim.board_rot_base)
     yaw = torch.atan2(x_axis[:, 1], x_axis[:, 0]) / math.pi
     bearing = torch.atan2(place[:, 1], place[:, 0]) / math.pi
     near = torch.linalg.vector_norm(place[:, :2], dim=-1) < 0.5
@@ -94,7 +104,7 @@ class Commander:
             episode: The episodes; a world whose ``command_steps`` have run out gets a new sampled command.
         """
         if self._config.mode == "board":
-            episode.command = toward_board(sim)
+            episode.command = toward_board(sim, self._config.turn_to)
         elif self._config.mode == "sampled":
             due = episode.command_steps <= 0
             episode.command = torch.where(due.unsqueeze(1), self._draw(len(due)), episode.command)

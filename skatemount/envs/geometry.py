@@ -105,3 +105,15 @@ def rotate_inverse(matrix: Tensor, vectors: Tensor) -> Tensor:
 def wrap_angle(angle: Tensor) -> Tensor:
     """Angles in radians, wrapped to (-pi, pi]."""
     return torch.atan2(torch.sin(angle), torch.cos(angle))
+
+
+def facing(rotation: Tensor) -> Tensor:
+    """Which way round a board is seen by a robot: a board has no front, so the end that the trunk faces is it.
+
+    Args:
+        rotation: ``[N, 3, 3]`` the board's axes in the trunk frame (columns).
+
+    Returns:
+        ``[N, 1]``, 1 or -1: the factor of the board's x and y axes.
+    """
+    return torch.where(rotation[:, 0, :1] < 0, -1.0, 1.0)

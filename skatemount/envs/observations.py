@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs import success
-from skatemount.envs.geometry import rotate_inverse
+from skatemount.envs.geometry import facing, rotate_inverse
 from skatemount.envs.mirror import mirror_map
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import Registry, TaskContext
@@ -120,8 +120,8 @@ def board_pos(sim: SimState, episode: EpisodeState, context: TaskContext, at: st
 
 @_observation(6, "vector")
 def board_axes(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """The board's x and z axes in the trunk frame, ``[N, 6]``."""
-    return torch.cat((sim.board_rot_base[..., 0], sim.board_rot_base[..., 2]), -1)
+    """The board's x and z axes in the trunk frame, ``[N, 6]``; x points to the end that the trunk faces."""
+    return torch.cat((sim.board_rot_base[..., 0] * facing(sim.board_rot_base), sim.board_rot_base[..., 2]), -1)
 
 
 @_observation(1, None)
@@ -159,8 +159,12 @@ def _in_base_frame(sim: SimState, board_points: Tensor) -> Tensor:
 
 @_observation(lambda params: 3 * params.get("points", 16), "outline")
 def outline(sim: SimState, episode: EpisodeState, context: TaskContext, points: int = 16) -> Tensor:
-    """Points at equal arc length around the deck's top edge, trunk frame, ``[N, 3 points]`` m."""
-    return _in_base_frame(sim, outline_points(context, points))
+    """Points at equal arc length around the deck's top edge, trunk frame, ``[N, 3 points]`` m.
+
+    They begin in the middle of the end that the trunk faces.
+    """
+    turned = outline_points(context, points) * facing(sim.board_rot_base).unsqueeze(-1)
+    return _in_base_frame(sim, turned)
 
 
 @_observation(72, None)
@@ -193,8 +197,10 @@ def feet_base_left_first(sim: SimState, episode: EpisodeState, context: TaskCont
 
 @_observation(12, "feet")
 def feet_board(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Feet's centres in the board frame, ``[N, 12]`` m."""
-    return sim.foot_pos_board.flatten(1)
+    """Feet's centres in the board frame, its x axis toward the end that the trunk faces, ``[N, 12]`` m."""
+    sign = facing(sim.board_rot_base)
+    turn = torch.cat((sign, sign, torch.ones_like(sign)), -1)
+    return (sim.foot_pos_board * turn.unsqueeze(1)).flatten(1)
 
 
 @_observation(4, "flags")
@@ -231,8 +237,8 @@ def board_velocity(sim: SimState, episode: EpisodeState, context: TaskContext) -
 
 @_observation(2, "negative")
 def truck_angle(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Front and rear truck about their axes, ``[N, 2]`` rad."""
-    return sim.truck_angle
+    """The truck at the end that the trunk faces and the other one, about their axes, ``[N, 2]`` rad."""
+    return torch.where(facing(sim.board_rot_base) > 0, sim.truck_angle, sim.truck_angle.flip(-1))
 
 
 @_observation(3, "scalars")

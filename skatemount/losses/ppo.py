@@ -18,7 +18,7 @@ from skatemount.errors import ConfigError
 from skatemount.losses.symmetry import Symmetry
 from skatemount.models import ActorCritic
 
-SYMMETRIES = ("none", "augment")
+SYMMETRIES = ("none", "augment", "flip")
 
 
 @dataclass
@@ -39,7 +39,8 @@ class AlgorithmConfig:
         horizon: Seconds over which rewards are discounted: gamma = exp(-control step / horizon).
         trace: Seconds over which GAE looks ahead: lambda = exp(-control step / trace).
         max_grad_norm: Largest norm of the gradient.
-        symmetry: ``none``, or ``augment``: learn from the mirror image of every step as well.
+        symmetry: ``none``; ``augment``: learn from the mirror image of every step as well; ``flip``: learn from the
+            mirror image of every other step instead, chosen anew in each epoch, which costs nothing.
     """
 
     epochs: int = 5
@@ -107,7 +108,7 @@ class PPO:
     ):
         self.config = config
         self.networks = networks
-        self._symmetry = symmetry if config.symmetry == "augment" else None
+        self._symmetry = symmetry if config.symmetry != "none" else None
         self._bf16 = bf16
         self._generator = generator
         self.loss = ClipPPOLoss(
@@ -220,7 +221,8 @@ class PPO:
     def _step(self, part: TensorDictBase, loc: Tensor, scale: Tensor) -> tuple[dict[str, Tensor], float]:
         kl = self._divergence(part, loc, scale)
         if self._symmetry is not None:
-            part = self._symmetry.augment(part)
+            images = self._symmetry.augment if self.config.symmetry == "augment" else self._symmetry.flip
+            part = images(part)
         with self._autocast():
             losses = self.loss(part)
         total = sum(value for name, value in losses.items() if name.startswith("loss_"))

@@ -53,3 +53,19 @@ class Symmetry:
         for key in self._maps:
             mirrored[key] = self.mirror(key, batch[key])
         return torch.cat((batch, mirrored))
+
+    def flip(self, batch: TensorDictBase) -> TensorDictBase:
+        """A batch with every other row replaced by its mirror image; rows are expected in random order.
+
+        Args:
+            batch: ``[B]``.
+
+        Returns:
+            ``[B]``.
+        """
+        mirrored = batch.clone(False)
+        for key in self._maps:
+            values = batch[key].clone()
+            values[::2] = self.mirror(key, values[::2])
+            mirrored[key] = values
+        return mirrored

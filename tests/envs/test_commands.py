@@ -25,8 +25,8 @@ def commander(generator: torch.Generator | None = None, **settings: object) -> C
     [
         # Within half a metre: twice the way to it, and its yaw over pi.
         ((0.3, -0.2), 0.6, (0.6, -0.4, 0.6 / math.pi)),
-        ((0.0, 0.0), -3.0, (0.0, 0.0, -3.0 / math.pi)),
-        ((-0.29, 0.4), math.pi / 2, (-0.58, 0.8, 0.5)),
+        ((0.0, 0.0), 1.5, (0.0, 0.0, 1.5 / math.pi)),
+        ((-0.29, 0.4), -math.pi / 3, (-0.58, 0.8, -1 / 3)),
         # Farther: slower the more it has to turn, and no sidestep; the board's yaw does not count.
         ((0.6, 0.0), 0.6, (1.0, 0.0, 0.0)),
         ((0.0, 1.0), 2.0, (0.5, 0.0, 0.5)),
@@ -43,6 +43,14 @@ def test_toward_board(
     board = (1.0 + c * place[0] - s * place[1], 2.0 + s * place[0] + c * place[1], 0.088)
     sim = make_state(base=(1.0, 2.0, 0.3), base_rpy=(0, 0, heading), board=board, board_rpy=(0, 0, heading + yaw))
     assert toward_board(sim)[0].tolist() == pytest.approx(expected, abs=2e-6)
+
+
+@pytest.mark.parametrize(("turn_to", "turn"), [("nearer", math.pi - 3.0), ("front", -3.0)])
+def test_which_end_to_turn_to(turn_to: str, turn: float, make_state: MakeState) -> None:
+    sim = make_state(board=(0.1, 0.0, 0.088), board_rpy=(0, 0, -3.0))
+    episode = EpisodeState.zeros(1)
+    commander(turn_to=turn_to).update(sim, episode)
+    assert float(episode.command[0, 2]) == pytest.approx(turn / math.pi, abs=1e-6)
 
 
 def test_modes(make_state: MakeState) -> None:

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from skatemount.config import compose
+from skatemount.envs.commands import toward_board
 from skatemount.envs.observations import OBSERVATIONS, ObservationTable, ObservationTerm, outline_points
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import TaskContext
@@ -174,11 +175,28 @@ def test_feet_orders(context: TaskContext, make_state: MakeState, make_episode: 
 def test_board_axes_and_outline(context: TaskContext, make_state: MakeState, make_episode: MakeEpisode) -> None:
     sim = make_state(**POSE)
     p, r, b, s = matrices(sim)
-    axes = np.concatenate([r.T @ s[:, 0], r.T @ s[:, 2]])
+    # This trunk looks away from the board's front.
+    assert (r.T @ s[:, 0])[0] < 0
+    axes = np.concatenate([-r.T @ s[:, 0], r.T @ s[:, 2]])
     np.testing.assert_allclose(one(context, "board_axes", sim, make_episode()), axes, atol=1e-6)
     corner = r.T @ (b + s @ (0.2875, 0.125, 0) - p)
     points = one(context, "outline", sim, make_episode(), points=300).reshape(-1, 3)
     assert float((points - torch.tensor(corner)).norm(dim=1).min()) < 0.003
+
+
+@pytest.mark.parametrize("yaw", [-3.0, -1.2, 0.4, 1.5])
+def test_a_board_has_no_front(
+    yaw: float, context: TaskContext, make_state: MakeState, make_episode: MakeEpisode
+) -> None:
+    """A board that is turned half round looks the same to the policy."""
+    place = dict(base=(0.3, 0.1, 0.35), base_rpy=(0.1, -0.2, 0.3), foot_pos=np.arange(12.0).reshape(4, 3) / 10)
+    ahead = make_state(**place, board_rpy=(0, 0, yaw), truck_angle=(0.1, -0.02))
+    # Seen from its other end, a lean to the left is one to the right: here the board is level.
+    round_about = make_state(**place, board_rpy=(0, 0, yaw + math.pi), truck_angle=(-0.02, 0.1))
+    for name in ("board_axes", "outline", "feet_board", "truck_angle", "board_pos"):
+        a, b = (one(context, name, sim, make_episode(sim)) for sim in (ahead, round_about))
+        np.testing.assert_allclose(a, b, atol=2e-6, err_msg=name)
+    assert toward_board(ahead).tolist() == [pytest.approx(toward_board(round_about)[0].tolist(), abs=1e-5)]
 
 
 @pytest.mark.parametrize("points", [4, 16, 23, 400])
@@ -214,6 +232,7 @@ def test_other_terms(context: TaskContext, make_state: MakeState, make_episode: 
     sim = make_state(
         base=(0, 0, 0.5),
         base_rpy=(0, 0, math.pi / 2),
+        board_rpy=(0, 0, 0.2),
         board_lin_vel=(1.0, 0.0, 0.0),
         board_ang_vel=(0.0, 2.0, 0.0),
         foot_deck_force=forces,

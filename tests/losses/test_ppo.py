@@ -144,7 +144,7 @@ def test_learning_rate_stays_without_a_target() -> None:
     assert ppo.learning_rate == 2e-3
 
 
-@pytest.mark.parametrize("symmetry", ["none", "augment"])
+@pytest.mark.parametrize("symmetry", ["none", "augment", "flip"])
 def test_it_learns(symmetry: str) -> None:
     """Actions that are to be 0.5 everywhere, with a reward that says how far off they are."""
     ppo = make(learning_rate=5e-3, target_kl=None, epochs=2, entropy_coeff=0.0, symmetry=symmetry)
@@ -219,10 +219,18 @@ def test_symmetry_doubles_the_batch_with_mirror_images() -> None:
     assert loss_of(ppo, image) != pytest.approx(loss_of(ppo, rows), rel=1e-3)
 
 
+def test_flip_takes_every_other_image() -> None:
+    rows = collect(make().networks).flatten(0, 1).select("observation", "privileged", "action")
+    some = SYMMETRY.flip(rows)
+    for key in rows.keys():
+        assert torch.equal(some[key][1::2], rows[key][1::2])
+        assert torch.equal(some[key][::2], SYMMETRY.mirror(key, rows[key][::2]))
+
+
 def test_symmetry_makes_the_policy_symmetric() -> None:
     """A reward that asks for two different things of mirrored actions ends in the middle only with symmetry."""
     asymmetry = {}
-    for symmetry in ("none", "augment"):
+    for symmetry in ("none", "augment", "flip"):
         ppo = make(learning_rate=5e-3, target_kl=None, epochs=2, entropy_coeff=0.0, symmetry=symmetry)
         for i in range(12):
             batch = collect(ppo.networks, n=64, t=8, seed=i)
@@ -233,7 +241,7 @@ def test_symmetry_makes_the_policy_symmetric() -> None:
         both = ppo.networks.actor(SYMMETRY.augment(rows))["loc"].detach()
         n = rows.shape[0]
         asymmetry[symmetry] = float((SYMMETRY.mirror("action", both[:n]) - both[n:]).abs().mean())
-    assert asymmetry["augment"] < 0.5 * asymmetry["none"]
+    assert max(asymmetry["augment"], asymmetry["flip"]) < 0.5 * asymmetry["none"]
 
 
 def test_goes_on_from_a_saved_state_bit_for_bit() -> None:
