@@ -35,12 +35,15 @@ class StageConfig:
         init_from: Policy that the stage starts from; nothing if null.
         gate: Deterministic success in one of the training's evaluations that ends the training; only ``total_frames``
             does if null.
+        renormalize: Take the observations' mean and deviation from the stage's own first batch, which nothing is
+            learned from, and not from what the policy that it starts from saw.
     """
 
     name: str = ""
     description: str = ""
     init_from: str | None = None
     gate: float | None = None
+    renormalize: bool = False
 
 
 @dataclass

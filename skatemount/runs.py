@@ -31,6 +31,7 @@ PRETRAINED = "pretrained:"
 POINTERS = ("latest", "best")
 
 _NAME = re.compile(r"[\w][\w.,=+-]*")
+_PART = re.compile(r"(\d+)_.+")
 _RUN_NAME = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_.+")
 
 
@@ -162,6 +163,18 @@ class RunFolder:
     def curves_png(self) -> Path:
         """The picture of the learning curves."""
         return self.path / "curves.png"
+
+    @property
+    def curriculum_png(self) -> Path:
+        """The picture of the curriculum."""
+        return self.path / "curriculum.png"
+
+    @property
+    def parts(self) -> list[RunFolder]:
+        """The runs that this one consists of, in order; none if it is a single training."""
+        numbered = ((_PART.fullmatch(p.name), p) for p in self.path.iterdir() if _is_run(p))
+        ordered = sorted((int(number[1]), p) for number, p in numbered if number)
+        return [RunFolder(path, parent=self) for _, path in ordered]
 
     @property
     def latest(self) -> Path | None:

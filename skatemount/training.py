@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 
 from skatemount import checkpoint
@@ -21,7 +22,7 @@ from skatemount.curriculum.base import make_curriculum
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.errors import ConfigError
-from skatemount.loggers import MetricsLog, Progress, plot_learning_curves
+from skatemount.loggers import MetricsLog, Progress, compact, plot_learning_curves
 from skatemount.losses.ppo import PPO
 from skatemount.losses.symmetry import Symmetry
 from skatemount.models import ActorCritic
@@ -114,6 +115,7 @@ class Trainer:
         self.frames = self.iteration = 0
         self.elapsed = 0.0
         self._evaluator: Evaluator | None = None
+        self._look_around = False
         if config.resume is not None:
             self.run = RunFolder.open(config.resume)
             self._restore(Path(config.resume))
@@ -121,6 +123,9 @@ class Trainer:
             self.started_from = self._initialise()
             if self.started_from is not None:
                 self.ppo.start_gently()
+                if config.stage.renormalize:
+                    self.networks.forget()
+                    self._look_around = True
             logger, values = config.logger, configuration.to_dict(config)
             name = logger.name or config.stage.name
             if parent is None:
@@ -202,7 +207,7 @@ class Trainer:
                 mark = time.monotonic()
                 for batch in collector:
                     collected = time.monotonic()
-                    metrics = self.ppo.update(batch)
+                    metrics = self._learn(batch)
                     self.frames += batch_frames
                     self.iteration += 1
                     now = time.monotonic()
@@ -228,7 +233,7 @@ class Trainer:
                     progress.update(self.frames, metrics)
                     if self._due(logger.checkpoint_every) or "Evaluation/success" in metrics or last:
                         self.save(metrics)
-                    if logger.csv and (last or now - drawn > logger.plot_every):
+                    if last or now - drawn > logger.plot_every:
                         self.plot()
                         drawn = now
                     if last:
@@ -241,6 +246,14 @@ class Trainer:
                 collector.shutdown(close_env=False)
         return self._evaluate(logger.final_episodes) if logger.final_episodes else None
 
+    def _learn(self, batch: TensorDictBase) -> dict[str, float]:
+        if self._look_around:
+            # The actions of this batch are those of a policy that saw through the old statistics.
+            self.networks.observe(batch)
+            self._look_around = False
+            return {}
+        return self.ppo.update(batch)
+
     def _due(self, every: int) -> bool:
         return every > 0 and self.iteration % every == 0
 
@@ -250,8 +263,12 @@ class Trainer:
         return self._evaluator.run(self.networks, episodes)
 
     def plot(self) -> None:
-        """Draw the learning curves."""
-        plot_learning_curves(self.run.metrics_csv, self.run.curves_png, title=self.run.path.name)
+        """Draw the learning curves, if there is a table to draw them from, and where the curriculum is."""
+        name = self.run.path.name
+        if self.config.logger.csv:
+            plot_learning_curves(self.run.metrics_csv, self.run.curves_png, title=name)
+        if self.curriculum is not None:
+            self.curriculum.draw(self.run.curriculum_png, f"{name}, {compact(self.frames)} steps")
 
     def save(self, metrics: dict[str, float]) -> None:
         """Write a checkpoint.

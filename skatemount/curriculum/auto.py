@@ -8,12 +8,14 @@ keep an estimate of success that can be looked at.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from skatemount.curriculum.base import CurriculumConfig
+from skatemount.curriculum.heatmap import draw_heat_map
 from skatemount.envs.mdp import Outcome
 from skatemount.envs.starts import Placement
 from skatemount.envs.state import EpisodeState
@@ -138,7 +140,17 @@ class AutoCurriculum:
             known = self.trials.view(self.shape)[:, :, -1, free] >= self.config.least
             if bool(known.any()):
                 metrics[f"Curriculum/success_{name}"] = float(rate[:, :, -1, free][known].mean())
+        known = (self.trials >= self.config.least).view(self.shape)
+        for ring, distance in enumerate(self.config.distances):
+            if bool(known[ring, ..., -1, :].any()):
+                value = float(rate[ring, ..., -1, :][known[ring, ..., -1, :]].mean())
+                metrics[f"Curriculum/success_{distance:g}m"] = value
         return metrics
+
+    def draw(self, path: Path, title: str) -> None:
+        """Draw success over distance and heading, for each height and board; see `draw_heat_map`."""
+        c, state = self.config, (self.rates(), self.opened, self.solved())
+        draw_heat_map(path, title, self.shape, *state, c.distances, c.headings, c.heights)
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint needs."""

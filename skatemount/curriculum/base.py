@@ -57,10 +57,13 @@ class StageLink:
         gate: Deterministic success in the training's evaluations that ends the stage; none if null.
         budget: Share of the frames. A stage gets its part of all that is left, by the shares of the stages still to
             come, so what one leaves over goes to the later ones.
+        renormalize: As in `skatemount.config.StageConfig`: for a stage that sees far less varied observations than the
+            one before, whose deviations would hide them.
     """
 
     gate: float | None = None
     budget: float = 1.0
+    renormalize: bool = False
 
 
 @dataclass

@@ -110,7 +110,7 @@ class Chain:
         asked = [o for o in overrides if not _about_the_curriculum(o)]
         stages = {name: configuration.compose(name, asked) for name in config.curriculum.stages}
         for i, (name, link) in enumerate(config.curriculum.stages.items(), 1):
-            stages[name].stage.gate = link.gate
+            stages[name].stage.gate, stages[name].stage.renormalize = link.gate, link.renormalize
             stages[name].logger.name = f"{i}_{name}"
         logger = config.logger
         run = RunFolder.create(
