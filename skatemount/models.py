@@ -100,23 +100,31 @@ class RunningNormalizer(nn.Module):
 class BoundedNormalScale(nn.Module):
     """A learned standard deviation for each action, independent of the state and positive by construction.
 
-    std = min + (max - min) sigmoid(parameter).
+    std = low + (high - low) sigmoid(parameter). The upper bound is a buffer, so that it is saved with the network.
 
     Args:
         size: Actions.
         config: Bounds and start.
     """
 
+    high: Tensor
+
     def __init__(self, size: int, config: NetworkConfig):
         super().__init__()
-        self._low, self._span = config.min_std, config.max_std - config.min_std
-        share = (config.init_std - self._low) / self._span if self._span else 0.5
+        self._low, span = config.min_std, config.max_std - config.min_std
+        share = (config.init_std - self._low) / span if span else 0.5
         share = min(max(share, 1e-3), 1 - 1e-3)
         self.parameter = nn.Parameter(torch.full((size,), math.log(share / (1 - share))))
+        self.register_buffer("high", torch.tensor(config.max_std))
+
+    def limit(self, high: float) -> None:
+        """Lower the upper bound, and with it every deviation; a bound that is lower already stays."""
+        self.high.clamp_(max=max(high, self._low))
 
     def forward(self, loc: Tensor) -> tuple[Tensor, Tensor]:
         """``[..., size]`` means to means and standard deviations."""
-        return loc, (self._low + self._span * torch.sigmoid(self.parameter)).expand_as(loc)
+        std = self._low + (self.high - self._low) * torch.sigmoid(self.parameter)
+        return loc, std.expand_as(loc)
 
 
 class Join(nn.Module):
@@ -141,8 +149,10 @@ class ActorCritic(nn.Module):
         actions: Values in ``action``.
 
     Attributes:
+        config: Sizes.
         actor: Writes ``loc``, ``scale``, ``action`` and ``action_log_prob``.
         critic: Writes ``state_value``.
+        limit_std: Lowers the upper bound of the actions' standard deviation.
         normalizers: Of the actor's and of the critic's input; empty without normalisation.
     """
 
@@ -152,6 +162,7 @@ class ActorCritic(nn.Module):
     def __init__(self, config: NetworkConfig, observation: int, privileged: int, actions: int = 12):
         super().__init__()
         config.validate()
+        self.config = config
         sizes = (observation, observation + privileged)
         normalizers = [RunningNormalizer(size) for size in sizes] if config.normalize else []
         self.normalizers = nn.ModuleList(normalizers)
@@ -167,10 +178,10 @@ class ActorCritic(nn.Module):
             last.bias.zero_()
         policy = nn.Sequential(*normalizers[:1], means)
         value = nn.Sequential(*normalizers[1:], network(1, list(config.critic), 1))
+        deviation = BoundedNormalScale(actions, config)
+        self.limit_std = deviation.limit
         self.actor = ProbabilisticActor(
-            TensorDictModule(
-                nn.Sequential(policy, BoundedNormalScale(actions, config)), ["observation"], ["loc", "scale"]
-            ),
+            TensorDictModule(nn.Sequential(policy, deviation), ["observation"], ["loc", "scale"]),
             in_keys=["loc", "scale"],
             distribution_class=IndependentNormal,
             return_log_prob=True,

@@ -210,6 +210,7 @@ class Trainer:
                     metrics = self._learn(batch)
                     self.frames += batch_frames
                     self.iteration += 1
+                    self.ppo.calm_down(self.frames)
                     now = time.monotonic()
                     self.elapsed = already + now - started
                     if lost := self.env.physics.overflowed():

@@ -20,13 +20,13 @@ from skatemount.envs.mdp import Outcome
 from skatemount.envs.starts import Placement
 from skatemount.envs.state import EpisodeState
 
-_LOWEST_STEP = 0.02
+AXES = ("distance", "bearing", "heading", "height", "free")
 
 
 class AutoCurriculum:
     """Chooses the bins that starts are drawn from, and learns from how the episodes ended.
 
-    Bins are indexed ``[distance, heading, height, free]``, flattened.
+    Bins are indexed ``[distance, bearing, heading, height, free]`` (`AXES`), flattened.
 
     Args:
         config: The grid and the thresholds.
@@ -42,11 +42,12 @@ class AutoCurriculum:
         config.validate()
         self.config = config
         self._deck_height = deck_height
-        self.shape = (len(config.distances), len(config.headings), len(config.heights), 2)
+        edges = (config.distances, config.bearings, config.headings, config.heights)
+        self.shape = (*map(len, edges), 2)
         bins = math.prod(self.shape)
         self.trials, self.successes = torch.zeros(bins), torch.zeros(bins)
         self.opened = torch.zeros(bins, dtype=torch.bool)
-        self.opened[0] = True
+        self.opened.view(self.shape)[0, :, 0, 0, 0] = True
 
     def place(self, n: int, generator: torch.Generator) -> Placement:
         """Draw bins, and a place within each.
@@ -56,28 +57,24 @@ class AutoCurriculum:
             generator: Source of randomness.
         """
         bins = torch.multinomial(self.weights(), n, replacement=True, generator=generator)
-        ring, heading, height, free = torch.unravel_index(bins, self.shape)
+        ring, bearing, heading, height, free = torch.unravel_index(bins, self.shape)
 
-        def within(edges: list[float], index: Tensor, lowest: float) -> Tensor:
+        def within(edges: list[float], index: Tensor, lowest: float = 0.0) -> Tensor:
             bounds = torch.tensor([lowest, *edges])
             share = torch.rand(n, generator=generator)
             return bounds[index] + (bounds[index + 1] - bounds[index]) * share
 
-        c = self.config
-        reach = within(c.distances, ring, 0.0)
-        # A point on the border of the square of that half side.
-        along = 2 * torch.rand(n, generator=generator) - 1
-        side = torch.randint(4, (n,), generator=generator)
-        sign = torch.where(side % 2 == 0, 1.0, -1.0)
-        first, second = sign * reach, along * reach
-        xy = torch.where((side < 2).unsqueeze(1), torch.stack((first, second), 1), torch.stack((second, first), 1))
+        def sign() -> Tensor:
+            return 1 - 2.0 * torch.randint(2, (n,), generator=generator)
 
-        error = torch.deg2rad(within(c.headings, heading, 0.0))
-        turned = torch.where(torch.rand(n, generator=generator) < 0.5, -error, error)
+        c = self.config
+        reach, direction = within(c.distances, ring), torch.deg2rad(within(c.bearings, bearing))
+        xy = torch.stack((reach * direction.cos() * sign(), reach * direction.sin() * sign()), 1)
+
         # A board has no front: half of the starts face the other way.
-        yaw = turned + math.pi * (torch.rand(n, generator=generator) < 0.5)
-        step = within(c.heights, height, _LOWEST_STEP)
-        step = torch.where(height == self.shape[2] - 1, self._deck_height, step)
+        yaw = torch.deg2rad(within(c.headings, heading)) * sign() + math.pi * (sign() > 0)
+        step = within(c.heights, height, c.lowest)
+        step = torch.where(height == len(c.heights) - 1, self._deck_height, step)
         return Placement(xy=xy, yaw=yaw, step_height=step, board_fixed=free == 0, bin=bins)
 
     def rates(self) -> Tensor:
@@ -87,7 +84,8 @@ class AutoCurriculum:
     def weights(self) -> Tensor:
         """How often each bin is drawn, ``[bins]``, summing to 1."""
         rate = self.rates()
-        learning = (4 * rate * (1 - rate)).clamp(min=0.05) * self.opened
+        # A bin that has just opened is rarely solved, and is what has to be learnt.
+        learning = torch.where(rate < self.config.solved, 1.0, (4 * rate * (1 - rate)).clamp(min=0.05)) * self.opened
         alike = self.opened.to(rate.dtype)
         replay = self.config.replay
         return (1 - replay) * learning / learning.sum() + replay * alike / alike.sum()
@@ -115,11 +113,12 @@ class AutoCurriculum:
         self.successes *= fade
         solved = self.solved().view(self.shape)
         opened = self.opened.view(self.shape)
-        for axis in range(3):
-            here = solved.narrow(axis, 0, self.shape[axis] - 1)
-            opened.narrow(axis, 1, self.shape[axis] - 1).logical_or_(here)
+        for axis in range(len(AXES) - 1):
+            steps = self.shape[axis] - 1
+            for onto, seen in ((1, 0), (0, 1)):
+                opened.narrow(axis, onto, steps).logical_or_(solved.narrow(axis, seen, steps))
         ring = next((i for i, d in enumerate(self.config.distances) if d >= self.config.free_after), -1)
-        if bool(solved[ring, :, -1, 0].any()):
+        if bool(solved[ring, ..., -1, 0].any()):
             opened[..., 1] |= solved[..., 0]
 
     def solved(self) -> Tensor:
@@ -133,24 +132,23 @@ class AutoCurriculum:
             "Curriculum/bins_open": float(self.opened.sum()) / len(self.opened),
             "Curriculum/bins_solved": float(solved.sum()) / solved.numel(),
         }
+        known = self.trials.view(self.shape) >= self.config.least
         for free, name in enumerate(("fixed", "free")):
-            full = solved[:, :, -1, free].any(1)
-            reach = max((d for d, s in zip(self.config.distances, full.tolist()) if s), default=0.0)
+            full = solved[..., -1, free].flatten(1)
+            reach = max((d for d, s in zip(self.config.distances, full.any(1).tolist()) if s), default=0.0)
             metrics[f"Curriculum/frontier_{name}"] = reach
-            known = self.trials.view(self.shape)[:, :, -1, free] >= self.config.least
-            if bool(known.any()):
-                metrics[f"Curriculum/success_{name}"] = float(rate[:, :, -1, free][known].mean())
-        known = (self.trials >= self.config.least).view(self.shape)
+            if bool((seen := known[..., -1, free]).any()):
+                metrics[f"Curriculum/success_{name}"] = float(rate[..., -1, free][seen].mean())
         for ring, distance in enumerate(self.config.distances):
-            if bool(known[ring, ..., -1, :].any()):
-                value = float(rate[ring, ..., -1, :][known[ring, ..., -1, :]].mean())
-                metrics[f"Curriculum/success_{distance:g}m"] = value
+            if bool((seen := known[ring, ..., -1, :]).any()):
+                metrics[f"Curriculum/success_{distance:g}m"] = float(rate[ring, ..., -1, :][seen].mean())
         return metrics
 
     def draw(self, path: Path, title: str) -> None:
         """Draw success over distance and heading, for each height and board; see `draw_heat_map`."""
-        c, state = self.config, (self.rates(), self.opened, self.solved())
-        draw_heat_map(path, title, self.shape, *state, c.distances, c.headings, c.heights)
+        edges = {"distance": self.config.distances, "heading": self.config.headings, "height": self.config.heights}
+        bins = (each.view(self.shape) for each in (self.rates(), self.opened, self.solved()))
+        draw_heat_map(path, title, AXES, *bins, edges)
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint needs."""

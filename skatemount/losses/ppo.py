@@ -31,7 +31,8 @@ class AlgorithmConfig:
         learning_rate: At the start.
         min_learning_rate: Lowest that the KL may push it to.
         max_learning_rate: Highest.
-        target_kl: KL divergence per iteration that the learning rate aims at; null keeps the learning rate.
+        target_kl: KL divergence of the policy before a batch from the one after it that the learning rate aims at;
+            null keeps the learning rate.
         clip: Of the probability ratio.
         clip_value: Clip the value loss by the same amount.
         value_coeff: Weight of the value loss.
@@ -41,6 +42,9 @@ class AlgorithmConfig:
         max_grad_norm: Largest norm of the gradient.
         symmetry: ``none``; ``augment``: learn from the mirror image of every step as well; ``flip``: learn from the
             mirror image of every other step instead, chosen anew in each epoch, which costs nothing.
+        final_std: What the upper bound of the actions' standard deviation falls to, from ``network.max_std``; null
+            leaves it there.
+        std_frames: Frames until it is there; it falls by the same share in each.
     """
 
     epochs: int = 5
@@ -57,6 +61,8 @@ class AlgorithmConfig:
     trace: float = 0.4
     max_grad_norm: float = 1.0
     symmetry: str = "none"
+    final_std: float | None = None
+    std_frames: int = 10_000_000
 
     def validate(self, where: str = "algorithm") -> None:
         """Raise `ConfigError` for values that cannot be used."""
@@ -64,7 +70,7 @@ class AlgorithmConfig:
             if getattr(self, name) < 1:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
         positive = ("learning_rate", "min_learning_rate", "max_learning_rate", "clip", "horizon", "trace")
-        for name in (*positive, "max_grad_norm", "target_kl"):
+        for name in (*positive, "max_grad_norm", "target_kl", "final_std", "std_frames"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ConfigError(f"{where}.{name}={value} must be above 0 and finite")
@@ -160,6 +166,19 @@ class PPO:
             for group in self.optimizer.param_groups:
                 group["lr"] = self.config.min_learning_rate
 
+    def calm_down(self, frames: int) -> None:
+        """Lower the bound of the actions' standard deviation to where it should be by now.
+
+        Exploring finds the step up, and hides whether the robot can stand there.
+
+        Args:
+            frames: Trained so far.
+        """
+        if self.config.final_std is not None:
+            first = self.networks.config.max_std
+            share = min(frames / self.config.std_frames, 1.0)
+            self.networks.limit_std(first * (self.config.final_std / first) ** share)
+
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Learn from a batch.
 
@@ -187,24 +206,26 @@ class PPO:
             scale = scale.clone()
 
         sums: dict[str, Tensor] = {}
-        kl, updates = 0.0, 0
+        updates = 0
         for _ in range(self.config.epochs):
             order = torch.randperm(flat.shape[0], generator=self._generator)
             for rows in order.chunk(self.config.minibatches):
                 part = flat[rows]
-                losses, step_kl = self._step(part, loc[rows], scale[rows])
-                kl += step_kl
+                losses = self._step(part)
                 updates += 1
-                if self._schedule is not None:
-                    self._schedule.step(step_kl)
                 for name, value in losses.items():
                     sums[name] = sums.get(name, 0.0) + value
+        kl = self._divergence(flat, loc, scale)
+        if self._schedule is not None:
+            # Once a batch: near the old policy the first minibatches move little at any rate, and a rate that grows
+            # meanwhile overshoots several times over before it is cut again.
+            self._schedule.step(kl)
         return {
             "Loss/surrogate": float(sums["loss_objective"]) / updates,
             "Loss/value_function": float(sums["loss_critic"]) / updates,
             "Loss/entropy": float(sums.get("entropy", torch.zeros(()))) / updates,
             "Loss/clip_fraction": float(sums["clip_fraction"]) / updates,
-            "Loss/kl": kl / updates,
+            "Loss/kl": kl,
             "Loss/learning_rate": self.learning_rate,
             "Policy/mean_std": float(scale.mean()),
         }
@@ -218,8 +239,7 @@ class PPO:
                 name = key if isinstance(key, str) else ".".join(key)
                 raise FloatingPointError(f"{name} is not finite in {int((~finite).sum())} of {len(finite)} worlds")
 
-    def _step(self, part: TensorDictBase, loc: Tensor, scale: Tensor) -> tuple[dict[str, Tensor], float]:
-        kl = self._divergence(part, loc, scale)
+    def _step(self, part: TensorDictBase) -> dict[str, Tensor]:
         if self._symmetry is not None:
             images = self._symmetry.augment if self.config.symmetry == "augment" else self._symmetry.flip
             part = images(part)
@@ -232,7 +252,7 @@ class PPO:
         if not bool(torch.isfinite(norm) & torch.isfinite(total)):
             raise FloatingPointError(f"loss {float(total.detach())} or gradient {float(norm)} is not finite")
         self.optimizer.step()
-        return {name: value.detach() for name, value in losses.items()}, kl
+        return {name: value.detach() for name, value in losses.items()}
 
     @torch.no_grad()
     def _divergence(self, part: TensorDictBase, loc: Tensor, scale: Tensor) -> float:

@@ -134,6 +134,26 @@ def test_a_stage_takes_over_everything_of_the_policy(tmp_path: Path, monkeypatch
     assert {"actor.module.0.module.1.parameter", "normalizers.0.mean", "normalizers.0.count"} <= moved
 
 
+def test_a_stage_may_take_its_own_statistics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of the stage before are forgotten; nothing is learned from the batch that gives the new ones."""
+    learned: list[str] = []
+    update = PPO.update
+
+    def spy(self: PPO, batch: Any) -> dict[str, float]:
+        learned.append(str(float(self.networks.normalizers[0].count)))
+        return update(self, batch)
+
+    monkeypatch.setattr(PPO, "update", spy)
+    given = [*TWO, f"total_frames={4 * BATCH}"]
+    old = command(tmp_path / "a", *given, "curriculum.stages.balance.renormalize=false")
+    assert learned == [f"{i * BATCH:.1f}" for i in (0, 1, 2, 3)]
+    learned.clear()
+    new = command(tmp_path / "b", *given, "curriculum.stages.mount.renormalize=true")
+    assert learned == [f"{i * BATCH:.1f}" for i in (0, 1, 1)]
+    counts = [weights(run.path)["normalizers.1.count"] for run in (old, new)]
+    assert counts == [4 * BATCH, 2 * BATCH]
+
+
 def test_a_gate_ends_a_stage_and_the_later_ones_get_what_is_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

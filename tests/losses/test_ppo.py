@@ -133,9 +133,48 @@ def test_learning_rate_follows_the_kl_within_its_bounds() -> None:
     bounds = dict(min_learning_rate=1e-4, max_learning_rate=1e-2)
     for target, bound in ((1e-9, 1e-4), (1e3, 1e-2)):
         ppo = make(learning_rate=1e-3, target_kl=target, **bounds)
-        seen = [ppo.update(collect(ppo.networks, seed=i))["Loss/learning_rate"] for i in range(3)]
+        seen = [ppo.update(collect(ppo.networks, seed=i))["Loss/learning_rate"] for i in range(7)]
         assert ppo.learning_rate == seen[-1] == pytest.approx(bound)
         assert (seen[0] < 1e-3) == (bound < 1e-3) and (seen[0] > 1e-3) == (bound > 1e-3)
+
+
+def test_kl_is_of_the_policies_before_and_after_the_batch() -> None:
+    ppo = make(learning_rate=3e-3)
+    batch = collect(ppo.networks)
+    # The normalisers take the batch into account first.
+    ppo.networks.observe(batch)
+    before = copy.deepcopy(ppo.networks)
+    ppo.networks.observe = lambda batch: None  # type: ignore[method-assign]
+    kl = ppo.update(batch)["Loss/kl"]
+    with torch.no_grad():
+        old, new = (n.distribution(batch.flatten(0, 1)).base_dist for n in (before, ppo.networks))
+        expected = torch.distributions.kl_divergence(old, new).sum(-1).mean()
+    assert kl == pytest.approx(float(expected), rel=1e-4)
+    assert kl > 1e-4
+
+
+def test_exploration_calms_down() -> None:
+    ppo = make(final_std=0.1, std_frames=1000)
+    rows = collect(ppo.networks).flatten(0, 1)
+
+    def deviation() -> float:
+        with torch.no_grad():
+            return float(ppo.networks.distribution(rows).base_dist.scale.mean())
+
+    config, first = ppo.networks.config, deviation()
+    share = (first - config.min_std) / (config.max_std - config.min_std)
+    ppo.calm_down(0)
+    assert deviation() == pytest.approx(first)
+    for frames, bound in ((500, math.sqrt(config.max_std * 0.1)), (2000, 0.1)):
+        ppo.calm_down(frames)
+        assert deviation() == pytest.approx(config.min_std + share * (bound - config.min_std), rel=1e-5)
+    # A policy that is handed over keeps its calm.
+    other = make(copy.deepcopy(ppo.networks), final_std=0.1, std_frames=1000)
+    other.calm_down(0)
+    assert deviation() == pytest.approx(config.min_std + share * (0.1 - config.min_std), rel=1e-5)
+    still = make()
+    still.calm_down(10**9)
+    assert still.networks.state_dict().keys() == ppo.networks.state_dict().keys()
 
 
 def test_learning_rate_stays_without_a_target() -> None:
@@ -246,9 +285,9 @@ def test_symmetry_makes_the_policy_symmetric() -> None:
 
 def test_goes_on_from_a_saved_state_bit_for_bit() -> None:
     order = torch.Generator().manual_seed(1)
-    ppo = make(order=order)
+    ppo = make(order=order, target_kl=1e3)
     ppo.update(collect(ppo.networks))
-    other = make(copy.deepcopy(ppo.networks), order=order.clone_state())
+    other = make(copy.deepcopy(ppo.networks), order=order.clone_state(), target_kl=1e3)
     other.load_state_dict(copy.deepcopy(ppo.state_dict()))
     assert other.learning_rate == ppo.learning_rate != AlgorithmConfig().learning_rate
     batch = collect(ppo.networks, seed=1)
