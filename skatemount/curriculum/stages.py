@@ -22,6 +22,7 @@ from skatemount.config import Config
 from skatemount.curriculum.base import StageLink
 from skatemount.errors import ConfigError
 from skatemount.loggers import compact
+from skatemount.plots import plot_chain
 from skatemount.runs import RunFolder, find_checkpoint
 from skatemount.state_file import parse_json
 from skatemount.training import (
@@ -230,7 +231,7 @@ class Chain:
         return None if spec == "stage" else spec
 
     def report(self) -> None:
-        """Write down what became of each stage so far."""
+        """Write down what became of each stage so far, and draw the learning curve of them all."""
         path = self.run.path / REPORT_FILE
         if path.is_file():
             known = {s["name"]: s["evaluated"] for s in parse_json(path.read_bytes(), path)["stages"]}
@@ -253,6 +254,10 @@ class Chain:
             stages.append(entry)
         document = {"total_frames": self.config.total_frames, "stages": stages}
         atomic.write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
+        tables = [(part.name, RunFolder(part.folder).metrics_csv) for part in self.parts]
+        # A table is there from a stage's first iteration on.
+        if self.config.logger.csv and any(part.frames for part in self.parts):
+            plot_chain(tables, self.run.curves_png, self.run.path.name)
 
 
 def chain_to_train(config: Config, overrides: Sequence[str]) -> Chain | None:

@@ -91,7 +91,8 @@ def message(root: Path, *overrides: str) -> str:
 @pytest.fixture(scope="module")
 def chain(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """Two stages of three iterations each."""
-    return command(tmp_path_factory.mktemp("chain") / "runs", *TWO, f"total_frames={6 * BATCH}", "seed=3")
+    root = tmp_path_factory.mktemp("chain") / "runs"
+    return command(root, *TWO, f"total_frames={6 * BATCH}", "seed=3", "logger.csv=true")
 
 
 def test_one_folder_with_a_part_for_each_stage(chain: RunFolder) -> None:
@@ -105,6 +106,7 @@ def test_one_folder_with_a_part_for_each_stage(chain: RunFolder) -> None:
     stages = report(chain)
     assert {name: stage["frames"] for name, stage in stages.items()} == {"balance": 3 * BATCH, "mount": 3 * BATCH}
     assert all(stage["ended"] == "budget" and stage["seconds"] > 0 for stage in stages.values())
+    assert (chain.path / "curves.png").read_bytes().startswith(b"\x89PNG")
     assert stages["balance"]["starts_from"] is None
     assert stages["mount"]["starts_from"] == str(chain.path / "1_balance")
 
