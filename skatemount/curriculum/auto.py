@@ -83,12 +83,18 @@ class AutoCurriculum:
 
     def weights(self) -> Tensor:
         """How often each bin is drawn, ``[bins]``, summing to 1."""
-        rate = self.rates()
+        rate, useful = self.rates(), self.opened & ~self._outgrown()
         # A bin that has just opened is rarely solved, and is what has to be learnt.
-        learning = torch.where(rate < self.config.solved, 1.0, (4 * rate * (1 - rate)).clamp(min=0.05)) * self.opened
-        alike = self.opened.to(rate.dtype)
+        learning = torch.where(rate < self.config.solved, 1.0, (4 * rate * (1 - rate)).clamp(min=0.05)) * useful
+        alike = useful.to(rate.dtype)
         replay = self.config.replay
         return (1 - replay) * learning / learning.sum() + replay * alike / alike.sum()
+
+    def _outgrown(self) -> Tensor:
+        """Which bins with a lower step have nothing left to teach: the board's own height is solved there."""
+        grown = self.solved().view(self.shape)[..., -1:, :].expand(self.shape).clone()
+        grown[..., -1, :] = False
+        return grown.flatten()
 
     def record(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
         """Learn from the episodes that ended in a step.

@@ -107,6 +107,21 @@ def test_solved_bins_are_practised_less_than_the_frontier_but_still_practised() 
     assert (weights[~auto.opened] == 0).all()
 
 
+def test_a_lower_step_is_outgrown_where_the_full_one_is_solved() -> None:
+    auto = curriculum()
+    auto.opened[:] = True
+    bins = torch.arange(auto.opened.numel()).view(auto.shape)
+    full = bins[3, 1, 1, -1, 0]
+    finish(auto, torch.full((100,), full), good=True)
+    auto.update()
+    weights = auto.weights().view(auto.shape)
+    assert (weights[3, 1, 1, :-1, 0] == 0).all() and weights[3, 1, 1, -1, 0] > 0
+    assert (weights > 0).sum() == weights.numel() - len(auto.config.heights) + 1
+    finish(auto, torch.full((400,), full), good=False)
+    auto.update()
+    assert (auto.weights() > 0).all()
+
+
 def test_places_lie_in_their_bins() -> None:
     auto = curriculum()
     auto.opened[:] = True
