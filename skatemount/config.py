@@ -34,11 +34,17 @@ class StageConfig:
         name: Of the stage.
         description: One line.
         init_from: Policy that the stage starts from; nothing if null.
+        gate: Deterministic success in one of the training's evaluations that ends the training; only ``total_frames``
+            does if null.
+        renormalize: Take the observations' mean and deviation from the stage's own first batch, which nothing is
+            learned from, and not from what the policy that it starts from saw.
     """
 
     name: str = ""
     description: str = ""
     init_from: str | None = None
+    gate: float | None = None
+    renormalize: bool = False
 
 
 @dataclass
@@ -118,11 +124,21 @@ class Config(TaskConfig):
         self.curriculum.validate("curriculum")
         if self.suite is not None:
             self.suite.validate("suite")
-        if self.curriculum.kind != "none" and self.success != "mount":
+        if self.curriculum.kind == "stages":
+            if self.stage.name:
+                raise ConfigError(
+                    f"+stage={self.stage.name} with +curriculum={self.curriculum.name}: the curriculum runs its own "
+                    f"stages ({', '.join(self.curriculum.stages)}): leave out one of the two"
+                )
+            for name, link in self.curriculum.stages.items():
+                check_stage(name)
+                self._check_gate(f"curriculum.stages.{name}.gate", link.gate)
+        elif self.curriculum.kind != "none" and self.success != "mount":
             raise ConfigError(
                 f"curriculum.kind={self.curriculum.kind} opens start states about the board, and stage "
                 f"{self.stage.name} is not about mounting it: leave out the curriculum"
             )
+        self._check_gate("stage.gate", self.stage.gate)
         if not self.logger.root:
             raise ConfigError("logger.root='' must name a folder, such as runs")
         for name in ("progress_every", "plot_every"):
@@ -149,6 +165,14 @@ class Config(TaskConfig):
             raise ConfigError(
                 f"algorithm.minibatches={self.algorithm.minibatches} must be at most the {batch} steps of a batch"
             )
+
+    def _check_gate(self, where: str, gate: float | None) -> None:
+        if gate is None:
+            return
+        if not 0 < gate <= 1:
+            raise ConfigError(f"{where}={gate} must be a success rate above 0 and at most 1, or null for none")
+        if not self.logger.evaluate_every:
+            raise ConfigError(f"{where}={gate} needs evaluations: give logger.evaluate_every above 0, or {where}=null")
 
 
 def _schema() -> DictConfig:

@@ -88,6 +88,10 @@ class RunningNormalizer(nn.Module):
         self.mean.add_(shift * share)
         self.count.copy_(total)
 
+    def forget(self) -> None:
+        """Let what is observed next replace what was observed so far, instead of adding to it."""
+        self.count.zero_()
+
     def forward(self, values: Tensor) -> Tensor:
         """``[..., size]`` to the same, with mean 0 and deviation 1, clipped."""
         return ((values - self.mean) * torch.rsqrt(self.var + 1e-4)).clamp(-self._clip, self._clip)
@@ -177,9 +181,7 @@ class ActorCritic(nn.Module):
         deviation = BoundedNormalScale(actions, config)
         self.limit_std = deviation.limit
         self.actor = ProbabilisticActor(
-            TensorDictModule(
-                nn.Sequential(policy, deviation), ["observation"], ["loc", "scale"]
-            ),
+            TensorDictModule(nn.Sequential(policy, deviation), ["observation"], ["loc", "scale"]),
             in_keys=["loc", "scale"],
             distribution_class=IndependentNormal,
             return_log_prob=True,
@@ -196,3 +198,9 @@ class ActorCritic(nn.Module):
         for normalizer, keys in zip(self.normalizers, (self.actor_keys, self.critic_keys)):
             assert isinstance(normalizer, RunningNormalizer)
             normalizer.observe(torch.cat([batch[key] for key in keys], -1))
+
+    def forget(self) -> None:
+        """Let the next batch that is observed replace the normalisers' statistics."""
+        for normalizer in self.normalizers:
+            assert isinstance(normalizer, RunningNormalizer)
+            normalizer.forget()

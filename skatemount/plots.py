@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from skatemount.metrics_csv import STEP, read_metrics
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
 TRAINING, EVALUATION, SECOND = "#1f77b4", "#d62728", "#2ca02c"
 
 # Title, (metric, colour, label) of each line, limits of the y axis.
@@ -93,12 +95,76 @@ def plot_learning_curves(csv_path: Path, png_path: Path, title: str = "") -> Non
         figure.savefig(temporary, format="png")
 
 
-def _draw(axis: Axes, frames: np.ndarray, values: np.ndarray | None, colour: str, label: str) -> bool:
-    """Draws one metric; returns whether there was anything to draw."""
+def plot_chain(runs: Sequence[tuple[str, Path]], png_path: Path, title: str = "") -> None:
+    """Draws success and reward of trainings that follow one another, one colour each, against all their steps.
+
+    The upper x axis is time. Thick lines with dots are deterministic evaluations, thin ones the exploring policy.
+
+    Args:
+        runs: What each training is called and its `metrics.csv`, in order; tables that are missing or empty are left
+            out.
+        png_path: The picture, replaced in one step.
+        title: Written above.
+
+    Raises:
+        ConfigError: No table has rows yet.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter, MaxNLocator
+
+    tables = [(name, read_metrics(path)) for name, path in runs if path.is_file()]
+    tables = [(name, table) for name, table in tables if len(table[STEP])]
+    if not tables:
+        raise ConfigError(f"{png_path}: no metrics to plot yet")
+    figure = Figure(figsize=(9, 6.4), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title, fontsize=13, parse_math=False)
+    success, reward = figure.subplots(2, 1, sharex=True)
+    steps, seconds = 0.0, 0.0
+    all_steps, all_seconds = [], []
+    for i, (name, table) in enumerate(tables):
+        colour = COLOURS[i % len(COLOURS)]
+        frames = steps + table[STEP]
+        elapsed = seconds + table.get("Perf/elapsed_s", np.full(len(frames), np.nan))
+        _draw(success, frames, table.get("Success/rate"), colour, "", faint=True)
+        known = np.isfinite(evaluated := table.get("Evaluation/success", np.full(len(frames), np.nan)))
+        success.plot(frames[known], evaluated[known], color=colour, lw=1.8, marker="o", ms=3, label=name)
+        _draw(reward, frames, table.get("Train/mean_reward"), colour, name)
+        for axis in (success, reward):
+            axis.axvspan(steps, frames.max(), color=colour, alpha=0.06, lw=0)
+        all_steps.append(frames)
+        all_seconds.append(elapsed)
+        steps = float(frames.max())
+        seconds = float(np.nanmax(elapsed)) if np.isfinite(elapsed).any() else seconds
+    success.set_title("success rate: evaluated (dots), training (faint)", fontsize=10)
+    success.set_ylim(-0.03, 1.03)
+    reward.set_title("mean reward of an episode (each stage has its own rewards)", fontsize=10)
+    reward.set_xlabel("environment steps", fontsize=9)
+    for axis in (success, reward):
+        axis.grid(alpha=0.25)
+        axis.tick_params(labelsize=8)
+        axis.set_xlim(0, max(steps, 1.0))
+        axis.xaxis.set_major_locator(MaxNLocator(8))
+        axis.xaxis.set_major_formatter(EngFormatter(sep=""))
+    success.legend(fontsize=8, loc="best", framealpha=0.6)
+    _add_time_axis(success, np.concatenate(all_steps), np.concatenate(all_seconds))
+    with atomic.replacing(png_path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def _draw(
+    axis: Axes, frames: np.ndarray, values: np.ndarray | None, colour: str, label: str, faint: bool = False
+) -> bool:
+    """Draws one metric, or its running mean alone if it should be faint; returns whether there was anything to draw."""
     known = np.zeros(0, bool) if values is None else np.isfinite(values)
     if values is None or not known.any():
         return False
     x, y = frames[known], values[known]
+    if faint:
+        axis.plot(x, _running_mean(y, len(y) // 40), color=colour, lw=1.2, alpha=0.45, label=label or None)
+        return True
     if len(x) < 40:
         axis.plot(x, y, color=colour, label=label, lw=1.6, marker="o", ms=3)
         return True

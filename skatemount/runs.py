@@ -4,6 +4,9 @@ A run is `<root>/<experiment>/<YYYY-MM-DD_HH-MM-SS>_<name>/`. In it, `latest` an
 files whose first line names a checkpoint folder relative to the run; `<root>/latest` names the
 newest run that has a checkpoint, relative to the root. They are files and not links so that they
 survive copying and work on every system.
+
+A run may consist of parts, each a run folder in it (`1_gait`, `2_balance`, …): its `latest` and
+`best` are those of the part that was written last.
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ PRETRAINED = "pretrained:"
 POINTERS = ("latest", "best")
 
 _NAME = re.compile(r"[\w][\w.,=+-]*")
+_PART = re.compile(r"(\d+)_.+")
 _RUN_NAME = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_.+")
 
 
@@ -36,11 +40,13 @@ class RunFolder:
 
     Attributes:
         path: The folder.
+        parent: The run that this one is a part of, if it is one.
     """
 
-    def __init__(self, path: Path, root: Path | None = None) -> None:
-        """Wraps a folder that exists; use `create` or `open`."""
+    def __init__(self, path: Path, root: Path | None = None, parent: RunFolder | None = None) -> None:
+        """Wraps a folder that exists; use `create`, `create_part` or `open`."""
         self.path = path
+        self.parent = parent
         self._root = root
 
     @classmethod
@@ -60,14 +66,9 @@ class RunFolder:
         Raises:
             ConfigError: A name is not a plain one, or the configuration is not plain data.
         """
-        for setting, value in (("experiment", experiment), ("name", name)):
-            if not _NAME.fullmatch(value):
-                raise ConfigError(f"{setting}={value!r}: letters, digits and . , = + - _ make a folder name")
-        try:
-            config_text = yaml.safe_dump(config, sort_keys=False, allow_unicode=True)
-        except yaml.YAMLError as error:
-            reason = " ".join(str(error).split())
-            raise ConfigError(f"config: not plain data, needed for YAML ({reason})") from error
+        _check_name("experiment", experiment)
+        _check_name("name", name)
+        config_text = _yaml(config)
         parent = Path(root) / experiment
         stem = f"{datetime.datetime.now():%Y-%m-%d_%H-%M-%S}_{name}"
         for suffix in itertools.chain([""], (f"_{n}" for n in itertools.count(2))):
@@ -77,11 +78,29 @@ class RunFolder:
             except FileExistsError:
                 continue
             break
-        atomic.write_text(path / "overrides.yaml", yaml.safe_dump(list(overrides)))
-        atomic.write_text(path / "git.diff", git_report())
-        atomic.write_text(path / "environment.txt", environment_report())
-        atomic.write_text(path / "config.yaml", config_text)  # last: it marks a complete run
+        _note(path, config_text, overrides)
         return cls(path, Path(root))
+
+    def create_part(self, name: str, config: dict, overrides: list[str]) -> RunFolder:
+        """Makes a run that is a part of this one.
+
+        Args:
+            name: Of its folder in this one.
+            config: As for `create`.
+            overrides: As for `create`.
+
+        Raises:
+            ConfigError: As for `create`, or there is such a part already.
+        """
+        _check_name("name", name)
+        config_text = _yaml(config)
+        path = self.path / name
+        try:
+            path.mkdir()
+        except FileExistsError as error:
+            raise ConfigError(f"{path}: exists already") from error
+        _note(path, config_text, overrides)
+        return RunFolder(path, parent=self)
 
     @classmethod
     def open(cls, path: Path | str) -> RunFolder:
@@ -96,7 +115,7 @@ class RunFolder:
         path = Path(path)
         for folder in (path, path.parent.parent if path.parent.name == "checkpoints" else path):
             if _is_run(folder):
-                return cls(folder)
+                return cls(folder, parent=cls(folder.parent) if _is_run(folder.parent) else None)
         raise ConfigError(f"run={str(path)!r}: not a run folder (config.yaml and git.diff in it)")
 
     @property
@@ -146,6 +165,18 @@ class RunFolder:
         return self.path / "curves.png"
 
     @property
+    def curriculum_png(self) -> Path:
+        """The picture of the curriculum."""
+        return self.path / "curriculum.png"
+
+    @property
+    def parts(self) -> list[RunFolder]:
+        """The runs that this one consists of, in order; none if it is a single training."""
+        numbered = ((_PART.fullmatch(p.name), p) for p in self.path.iterdir() if _is_run(p))
+        ordered = sorted((int(number[1]), p) for number, p in numbered if number)
+        return [RunFolder(path, parent=self) for _, path in ordered]
+
+    @property
     def latest(self) -> Path | None:
         """The checkpoint marked last, or the newest there is if that one is gone."""
         marked = _follow(self.path / "latest")
@@ -186,6 +217,9 @@ class RunFolder:
         self._mark_run()
 
     def _mark_run(self) -> None:
+        if self.parent is not None:
+            self.parent._follow_part(self)
+            return
         root = self.path.absolute().parent.parent
         # A run that was opened may have been moved anywhere: there, no pointer is strewn about.
         if self._root is None and not (root / "latest").is_file():
@@ -194,6 +228,18 @@ class RunFolder:
         if newest is None or _age_key(self.path) >= _age_key(newest):
             relative = self.path.absolute().relative_to(root).as_posix()
             atomic.write_text(root / "latest", f"{relative}\n")
+
+    def _follow_part(self, part: RunFolder) -> None:
+        """Points `latest` and `best` at those of a part."""
+        for name in POINTERS:
+            try:
+                pointer = (part.path / name).read_text(encoding="utf-8")
+            except FileNotFoundError:
+                # Not the best of another part: their scores are for different tasks.
+                (self.path / name).unlink(missing_ok=True)
+                continue
+            atomic.write_text(self.path / name, f"{part.path.name}/{pointer}")
+        self._mark_run()
 
     def _best_score(self) -> float:
         if self.best is None:
@@ -278,6 +324,27 @@ def _newest_run(root: Path) -> Path | None:
 def _runs_with_checkpoints(root: Path) -> Iterator[Path]:
     runs = sorted(filter(_is_run, root.glob("*/*")), key=_age_key, reverse=True)
     return (run for run in runs if RunFolder(run).latest is not None)
+
+
+def _check_name(setting: str, value: str) -> None:
+    if not _NAME.fullmatch(value):
+        raise ConfigError(f"{setting}={value!r}: letters, digits and . , = + - _ make a folder name")
+
+
+def _yaml(config: dict) -> str:
+    try:
+        return yaml.safe_dump(config, sort_keys=False, allow_unicode=True)
+    except yaml.YAMLError as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"config: not plain data, needed for YAML ({reason})") from error
+
+
+def _note(path: Path, config_text: str, overrides: list[str]) -> None:
+    """Writes down what is run, with which code and on what."""
+    atomic.write_text(path / "overrides.yaml", yaml.safe_dump(list(overrides)))
+    atomic.write_text(path / "git.diff", git_report())
+    atomic.write_text(path / "environment.txt", environment_report())
+    atomic.write_text(path / "config.yaml", config_text)  # last: it marks a complete run
 
 
 def _is_run(path: Path) -> bool:

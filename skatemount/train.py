@@ -1,4 +1,4 @@
-"""`python -m skatemount.train +stage=<name>`: train a stage."""
+"""`python -m skatemount.train +stage=<name>`: train a stage, or with `+curriculum=paper` a chain of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def train(config: Config, overrides: list[str]) -> None:
-    """Train a stage and print the evaluated success of the final policy.
+    """Train a stage, or a chain of stages, and print the evaluated success of the final policy.
 
     Args:
         config: Every setting; with ``resume``, those that the run has saved count instead.
@@ -19,12 +19,19 @@ def train(config: Config, overrides: list[str]) -> None:
         ConfigError: No stage, or a setting that cannot be used.
     """
     from skatemount.config import stages
+    from skatemount.curriculum.stages import chain_to_train
     from skatemount.errors import ConfigError
     from skatemount.training import Trainer, resumed
 
+    chain = chain_to_train(config, overrides)
+    if chain is not None:
+        print(f"run: {chain.run.path}", flush=True)
+        chain.train()
+        print(f"run: {chain.run.path}")
+        return
     if config.resume is None and not config.stage.name:
         listed = "; ".join(f"{name} ({about})" for name, about in stages().items())
-        raise ConfigError(f"no stage: add +stage=<name>. There are: {listed}")
+        raise ConfigError(f"no stage: add +stage=<name>, or +curriculum=paper for all. There are: {listed}")
     trainer = Trainer(resumed(config, overrides), overrides)
     print(trainer.describe(), flush=True)
     try:

@@ -1,4 +1,4 @@
-"""Training: collect, learn, write down what happened, until the frames are spent."""
+"""Training: collect, learn, write down what happened, until the frames are spent or the stage's gate is reached."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 
 from skatemount import checkpoint
@@ -17,11 +18,11 @@ from skatemount import config as configuration
 from skatemount.agent import MODULE, Agent, check_contract, load_weights, make_card
 from skatemount.benchmark.evaluation import EVALUATION_SEED, Evaluation, Evaluator
 from skatemount.config import Config
-from skatemount.curriculum.auto import AutoCurriculum
+from skatemount.curriculum.base import make_curriculum
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.errors import ConfigError
-from skatemount.loggers import MetricsLog, Progress, plot_learning_curves
+from skatemount.loggers import MetricsLog, Progress, compact, plot_learning_curves
 from skatemount.losses.ppo import PPO
 from skatemount.losses.symmetry import Symmetry
 from skatemount.models import ActorCritic
@@ -49,6 +50,18 @@ def resumed(config: Config, overrides: list[str]) -> Config:
     """
     if config.resume is None:
         return config
+    check_resumable(overrides)
+    folder = find_checkpoint(config.resume, Path(config.logger.root), setting="resume")
+    saved = configuration.from_dict(RunFolder.open(folder).config)
+    take_over_what_may_change(saved, config)
+    saved.resume = str(folder)
+    if any(o.startswith("total_frames=") for o in overrides):
+        saved.total_frames = config.total_frames
+    return saved
+
+
+def check_resumable(overrides: list[str]) -> None:
+    """Raise `ConfigError` for an override that cannot be changed in the middle of a run."""
     may_change = ("total_frames", "torch_threads", "resume", "physics.threads", "logger.")
     for override in overrides:
         key = override.lstrip("+~").partition("=")[0]
@@ -56,17 +69,12 @@ def resumed(config: Config, overrides: list[str]) -> Config:
             raise ConfigError(
                 f"{override} cannot be changed with resume; {', '.join(may_change)}* can, else use init_from"
             )
-    folder = find_checkpoint(config.resume, Path(config.logger.root), setting="resume")
-    saved = configuration.from_dict(RunFolder.open(folder).config)
-    saved.resume, saved.torch_threads, saved.physics.threads = (
-        str(folder),
-        config.torch_threads,
-        config.physics.threads,
-    )
-    if any(o.startswith("total_frames=") for o in overrides):
-        saved.total_frames = config.total_frames
+
+
+def take_over_what_may_change(saved: Config, config: Config) -> None:
+    """Put what may change in the middle of a run, but ``total_frames``, into its saved settings."""
+    saved.torch_threads, saved.physics.threads = config.torch_threads, config.physics.threads
     saved.logger = config.logger
-    return saved
 
 
 class Trainer:
@@ -75,12 +83,14 @@ class Trainer:
     Args:
         config: Every setting.
         overrides: What the user asked for, to be written down.
+        parent: The run that this one becomes a part of, in a folder called by ``logger.name``; a run of its own if
+            none.
 
     Raises:
         ConfigError: A setting that cannot be used, or a policy that does not fit the task.
     """
 
-    def __init__(self, config: Config, overrides: list[str] | None = None):
+    def __init__(self, config: Config, overrides: list[str] | None = None, parent: RunFolder | None = None):
         self.config = config
         set_torch_threads(config)
         torch.manual_seed(config.seed)
@@ -98,14 +108,14 @@ class Trainer:
             bf16=config.precision == "bf16",
             generator=self._order,
         )
-        self.curriculum: AutoCurriculum | None = None
-        if config.curriculum.kind == "auto":
-            self.curriculum = AutoCurriculum(config.curriculum, self.task.scene.deck_height)
+        self.curriculum = make_curriculum(config.curriculum, self.task.scene.deck_height)
+        if self.curriculum is not None:
             self.env.listeners.append(self.curriculum.record)
             self.env.place_starts(self.curriculum.place)
         self.frames = self.iteration = 0
         self.elapsed = 0.0
         self._evaluator: Evaluator | None = None
+        self._look_around = False
         if config.resume is not None:
             self.run = RunFolder.open(config.resume)
             self._restore(Path(config.resume))
@@ -113,14 +123,15 @@ class Trainer:
             self.started_from = self._initialise()
             if self.started_from is not None:
                 self.ppo.start_gently()
-            logger = config.logger
-            self.run = RunFolder.create(
-                logger.root,
-                logger.experiment,
-                logger.name or config.stage.name,
-                configuration.to_dict(config),
-                overrides or [],
-            )
+                if config.stage.renormalize:
+                    self.networks.forget()
+                    self._look_around = True
+            logger, values = config.logger, configuration.to_dict(config)
+            name = logger.name or config.stage.name
+            if parent is None:
+                self.run = RunFolder.create(logger.root, logger.experiment, name, values, overrides or [])
+            else:
+                self.run = parent.create_part(name, values, overrides or [])
 
     def _initialise(self) -> str | None:
         """Take over the policy that the settings name, if they name one."""
@@ -166,7 +177,7 @@ class Trainer:
         )
 
     def train(self) -> Evaluation | None:
-        """Train until the frames are spent.
+        """Train until the frames are spent or the stage's gate is reached.
 
         Returns:
             The evaluation of the final policy, if the settings ask for one.
@@ -191,12 +202,12 @@ class Trainer:
         progress = Progress(config.total_frames, config.stage.name, logger.progress_every, self.frames)
         drawn = started = time.monotonic()
         already = self.elapsed
-        with _termination_as_interrupt(), log, progress:
+        with termination_as_interrupt(), log, progress:
             try:
                 mark = time.monotonic()
                 for batch in collector:
                     collected = time.monotonic()
-                    metrics = self.ppo.update(batch)
+                    metrics = self._learn(batch)
                     self.frames += batch_frames
                     self.iteration += 1
                     self.ppo.calm_down(self.frames)
@@ -218,11 +229,12 @@ class Trainer:
                     last = self.frames >= config.total_frames
                     if self._due(logger.evaluate_every) or (last and logger.evaluate_every):
                         metrics |= self._evaluate(logger.evaluate_episodes).metrics()
+                        last = last or gate_reached(config.stage.gate, metrics)
                     log.log(metrics, self.frames)
                     progress.update(self.frames, metrics)
                     if self._due(logger.checkpoint_every) or "Evaluation/success" in metrics or last:
                         self.save(metrics)
-                    if logger.csv and (last or now - drawn > logger.plot_every):
+                    if last or now - drawn > logger.plot_every:
                         self.plot()
                         drawn = now
                     if last:
@@ -235,6 +247,14 @@ class Trainer:
                 collector.shutdown(close_env=False)
         return self._evaluate(logger.final_episodes) if logger.final_episodes else None
 
+    def _learn(self, batch: TensorDictBase) -> dict[str, float]:
+        if self._look_around:
+            # The actions of this batch are those of a policy that saw through the old statistics.
+            self.networks.observe(batch)
+            self._look_around = False
+            return {}
+        return self.ppo.update(batch)
+
     def _due(self, every: int) -> bool:
         return every > 0 and self.iteration % every == 0
 
@@ -244,8 +264,12 @@ class Trainer:
         return self._evaluator.run(self.networks, episodes)
 
     def plot(self) -> None:
-        """Draw the learning curves."""
-        plot_learning_curves(self.run.metrics_csv, self.run.curves_png, title=self.run.path.name)
+        """Draw the learning curves, if there is a table to draw them from, and where the curriculum is."""
+        name = self.run.path.name
+        if self.config.logger.csv:
+            plot_learning_curves(self.run.metrics_csv, self.run.curves_png, title=name)
+        if self.curriculum is not None:
+            self.curriculum.draw(self.run.curriculum_png, f"{name}, {compact(self.frames)} steps")
 
     def save(self, metrics: dict[str, float]) -> None:
         """Write a checkpoint.
@@ -281,8 +305,13 @@ class Trainer:
             self._evaluator.close()
 
 
+def gate_reached(gate: float | None, metrics: dict[str, Any]) -> bool:
+    """Whether a deterministic evaluation among the metrics, if there is one, reached a stage's gate."""
+    return gate is not None and metrics.get("Evaluation/success", -1.0) >= gate
+
+
 @contextmanager
-def _termination_as_interrupt() -> Iterator[None]:
+def termination_as_interrupt() -> Iterator[None]:
     """Let a request to end (SIGTERM) end the run as Ctrl-C does: with a checkpoint."""
 
     def interrupt(signum: int, frame: Any) -> None:

@@ -204,3 +204,19 @@ def test_git_report_of_an_installed_package_tells_its_version(tmp_path: Path) ->
     report = git_report(package)
     assert report.startswith("# not a git checkout: skatemount")
     assert str(package) in report
+
+
+def test_a_run_leads_to_its_newest_part(runs_root: Path) -> None:
+    whole = make_run(runs_root, "paper")
+    first = whole.create_part("1_gait", {"stage": {"name": "gait"}}, [])
+    old = add_checkpoint(first, 10, score=0.9)
+    assert (whole.latest, whole.best) == (old, old)
+    second = whole.create_part("2_balance", {}, [])
+    new = add_checkpoint(second, 5)
+    assert (whole.latest, whole.best) == (new, None)  # scores of different tasks do not compare
+    add_checkpoint(RunFolder.open(second.path), 6, score=0.1)
+    assert find_checkpoint("best", runs_root) == second.best
+    assert find_checkpoint(str(first.path)) == old
+    with pytest.raises(ConfigError) as error:
+        whole.create_part("1_gait", {}, [])
+    assert "1_gait: exists already" in one_line(error)

@@ -19,6 +19,7 @@ import yaml
 
 from skatemount import cli
 from skatemount.agent import Agent
+from skatemount.benchmark.evaluation import Evaluation
 from skatemount.checkpoint import list_checkpoints, load_training_state
 from skatemount.config import compose, from_dict, to_dict
 from skatemount.errors import ConfigError
@@ -119,6 +120,14 @@ def test_same_seed_same_weights_whatever_the_threads(tmp_path: Path) -> None:
     one = run(tmp_path / "a", "seed=5", *SILENT)
     assert same(weights(one), weights(run(tmp_path / "b", "seed=5", "physics.threads=2", *SILENT)))
     assert not same(weights(one), weights(run(tmp_path / "c", "seed=6", *SILENT)))
+
+
+def test_a_gate_ends_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rates = iter([1, 2, 3, 4])
+    monkeypatch.setattr(Trainer, "_evaluate", lambda self, episodes: Evaluation(4, next(rates), 1.0))
+    evaluated = ["logger.evaluate_every=2", "stage.gate=0.5"]
+    left = run(tmp_path, *evaluated, *SILENT, frames=20 * BATCH)
+    assert left.latest is not None and left.latest.name == f"step_{4 * BATCH:012d}"
 
 
 def test_resume_goes_on(trained: RunFolder, tmp_path: Path) -> None:

@@ -8,12 +8,14 @@ keep an estimate of success that can be looked at.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from skatemount.curriculum.base import CurriculumConfig
+from skatemount.curriculum.heatmap import draw_heat_map
 from skatemount.envs.mdp import Outcome
 from skatemount.envs.starts import Placement
 from skatemount.envs.state import EpisodeState
@@ -146,7 +148,16 @@ class AutoCurriculum:
             metrics[f"Curriculum/frontier_{name}"] = reach
             if bool((seen := known[..., -1, free]).any()):
                 metrics[f"Curriculum/success_{name}"] = float(rate[..., -1, free][seen].mean())
+        for ring, distance in enumerate(self.config.distances):
+            if bool((seen := known[ring, ..., -1, :]).any()):
+                metrics[f"Curriculum/success_{distance:g}m"] = float(rate[ring, ..., -1, :][seen].mean())
         return metrics
+
+    def draw(self, path: Path, title: str) -> None:
+        """Draw success over distance and heading, for each height and board; see `draw_heat_map`."""
+        edges = {"distance": self.config.distances, "heading": self.config.headings, "height": self.config.heights}
+        rates, opened, solved = (each.view(self.shape) for each in (self.rates(), self.opened, self.solved()))
+        draw_heat_map(path, title, AXES, rates, opened, solved, edges)
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint needs."""

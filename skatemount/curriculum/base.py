@@ -1,12 +1,69 @@
-"""Settings of a curriculum."""
+"""Settings of a curriculum, and what one has to offer."""
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
 
+import torch
+from torch import Tensor
+
+from skatemount.envs.mdp import Outcome
+from skatemount.envs.starts import Placement
+from skatemount.envs.state import EpisodeState
 from skatemount.errors import ConfigError
 
-KINDS = ("none", "auto")
+CURRICULA = {"auto": "skatemount.curriculum.auto:AutoCurriculum"}
+"""Curricula of start states by their kind: ``module:Class``. A kind that is not here names its class itself."""
+
+KINDS = ("none", "stages", *CURRICULA)
+
+
+class Curriculum(Protocol):
+    """Chooses where episodes start, and learns from how they ended.
+
+    Made with the settings and the board's own step height, m.
+    """
+
+    def place(self, n: int, generator: torch.Generator) -> Placement:
+        """Draw ``n`` places to start at; what `Placement.bin` says comes back as the episode's ``bin``."""
+
+    def record(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
+        """Learn from a step: the episodes ``[N]``, what the step led to, and which of them it ended."""
+
+    def update(self) -> None:
+        """Decide anew what is practised; called after every iteration, before new places are drawn."""
+
+    def metrics(self) -> dict[str, float]:
+        """Where the curriculum is, under ``Curriculum/<name>``."""
+
+    def draw(self, path: Path, title: str) -> None:
+        """Make a picture (PNG) of where the curriculum is, if it has one."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint needs."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+
+
+@dataclass
+class StageLink:
+    """One stage in a chain of stages.
+
+    Attributes:
+        gate: Deterministic success in the training's evaluations that ends the stage; none if null.
+        budget: Share of the frames. A stage gets its part of all that is left, by the shares of the stages still to
+            come, so what one leaves over goes to the later ones.
+        renormalize: As in `skatemount.config.StageConfig`: for a stage that sees far less varied observations than the
+            one before, whose deviations would hide them.
+    """
+
+    gate: float | None = None
+    budget: float = 1.0
+    renormalize: bool = False
 
 
 @dataclass
@@ -17,7 +74,11 @@ class CurriculumConfig:
     off, how high the step is, board fixed or free. A bin opens when a neighbour is solved.
 
     Attributes:
-        kind: ``none`` (the stage's start ranges throughout) or ``auto``.
+        kind: ``none`` (the stage's start ranges throughout), ``stages`` (several stages, one after the other),
+            ``auto``, or a `Curriculum` of one's own as ``module:Class``.
+        name: What a chain of stages is called.
+        stages: The stages of a chain, in order.
+        params: Settings of a curriculum of one's own.
         distances: Upper edges of the rings about the board: the trunk's distance from the deck's centre in the plane,
             m.
         bearings: Upper edges of the direction from the deck's centre to the trunk, degrees off the board's long axis,
@@ -36,6 +97,9 @@ class CurriculumConfig:
     """
 
     kind: str = "none"
+    name: str = ""
+    stages: dict[str, StageLink] = field(default_factory=dict)
+    params: dict[str, Any] = field(default_factory=dict)
     distances: list[float] = field(default_factory=lambda: [0.06, 0.12, 0.18, 0.24, 0.32, 0.4, 0.5, 0.65, 0.8, 1.05])
     bearings: list[float] = field(default_factory=lambda: [30.0, 60.0, 90.0])
     headings: list[float] = field(default_factory=lambda: [20.0, 50.0, 90.0])
@@ -50,8 +114,11 @@ class CurriculumConfig:
 
     def validate(self, where: str = "curriculum") -> None:
         """Raise `ConfigError` for settings that cannot be used."""
-        if self.kind not in KINDS:
-            raise ConfigError(f"{where}.kind={self.kind} must be one of {', '.join(KINDS)}")
+        if self.kind not in KINDS and ":" not in self.kind:
+            raise ConfigError(
+                f"{where}.kind={self.kind} must be one of {', '.join(KINDS)}, or module:Class for one of your own"
+            )
+        self._validate_stages(where)
         for name in ("distances", "bearings", "headings", "heights"):
             edges = getattr(self, name)
             if not edges or edges != sorted(set(edges)) or edges[0] <= 0:
@@ -68,3 +135,35 @@ class CurriculumConfig:
             raise ConfigError(f"{where}.memory={self.memory} must be above 0")
         if not 0 < self.least <= self.memory:
             raise ConfigError(f"{where}.least={self.least} must be above 0 and at most memory={self.memory}")
+
+    def _validate_stages(self, where: str) -> None:
+        if self.kind == "stages" and not (self.stages and self.name):
+            raise ConfigError(f"{where}.kind=stages needs {where}.stages and {where}.name: choose +curriculum=paper")
+        for name, link in self.stages.items():
+            if not 0 < link.budget <= 1e9:
+                raise ConfigError(f"{where}.stages.{name}.budget={link.budget} must be a share above 0")
+
+
+def make_curriculum(config: CurriculumConfig, deck_height: float) -> Curriculum | None:
+    """The curriculum that the settings name.
+
+    Args:
+        config: The settings.
+        deck_height: The board's own step height, m.
+
+    Returns:
+        None if start states are the stage's own throughout.
+
+    Raises:
+        ConfigError: There is no such class.
+    """
+    if config.kind in ("none", "stages"):
+        return None
+    module, _, name = CURRICULA.get(config.kind, config.kind).partition(":")
+    try:
+        made = getattr(importlib.import_module(module), name)(config, deck_height)
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f"curriculum.kind={config.kind}: no curriculum can be made of it ({error})") from error
+    return made

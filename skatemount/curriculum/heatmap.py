@@ -1,0 +1,99 @@
+"""A picture of a grid of start bins: where it is open, and how often starts there succeed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from torch import Tensor
+
+from skatemount import atomic
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_BOARDS = ("fixed board", "free board")
+
+
+def draw_heat_map(
+    path: Path,
+    title: str,
+    axes: Sequence[str],
+    rates: Tensor,
+    opened: Tensor,
+    solved: Tensor,
+    edges: Mapping[str, Sequence[float]],
+) -> None:
+    """Draw success over distance and heading, for fixed and free boards and each height of the step.
+
+    Bins that are not open are blank; a solved one has a black frame. The number in a bin is its success in per cent.
+    Where the grid has more axes, it is the mean of the open bins along them, and solved means that all of these are.
+
+    Args:
+        path: The picture (PNG), replaced in one step.
+        title: Written above.
+        axes: Names of the grid's axes, ``distance``, ``heading``, ``height`` and ``free`` among them.
+        rates: The grid of estimated success.
+        opened: Likewise, bool.
+        solved: Likewise, bool.
+        edges: Upper edges of the bins along ``distance`` (m), ``heading`` (degrees) and ``height`` (m).
+    """
+    # The object interface: no global figure list, no display, safe beside a user's own plots.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+    shown = [list(axes).index(name) for name in ("distance", "heading", "height", "free")]
+    others = [i for i in range(len(axes)) if i not in shown]
+
+    def grid(values: Tensor) -> np.ndarray:
+        """``[distance, heading, height, free, others]``."""
+        return values.permute(*shown, *others).reshape(*(values.shape[i] for i in shown), -1).numpy()
+
+    is_open = grid(opened)
+    count = is_open.sum(-1)
+    success = np.where(count > 0, (grid(rates) * is_open).sum(-1) / np.maximum(count, 1), np.nan)
+    is_solved = (count > 0) & (grid(solved) | ~is_open).all(-1)
+
+    distances, headings, heights = edges["distance"], edges["heading"], edges["height"]
+    columns = len(heights)
+    figure = Figure(figsize=(1.5 + 3.6 * columns, 5.6), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=12, parse_math=False)
+    panels = figure.subplots(2, columns, squeeze=False, sharex=True, sharey=True)
+    colours = Normalize(0.0, 1.0)
+    for column, high in enumerate(heights):
+        name = f"step up to {1000 * high:.0f} mm" if column < columns - 1 else "full height"
+        for row, board in enumerate(_BOARDS):
+            axis = panels[row, column]
+            values = success[:, :, column, row]
+            image = axis.pcolormesh(values.T, cmap="viridis", norm=colours, edgecolors="white", linewidth=0.5)
+            _mark(axis, values, is_solved[:, :, column, row])
+            axis.set_title(f"{board}, {name}", fontsize=9)
+    for axis in panels.flat:
+        axis.set_xticks(range(len(distances) + 1), [f"{d:g}" for d in (0.0, *distances)], fontsize=7)
+        axis.set_yticks(range(len(headings) + 1), [f"{h:g}" for h in (0.0, *headings)], fontsize=7)
+    for axis in panels[:, 0]:
+        axis.set_ylabel("heading's error (degrees)", fontsize=8)
+    for axis in panels[-1]:
+        axis.set_xlabel("distance (m)", fontsize=8)
+    bar = figure.colorbar(image, ax=panels, shrink=0.7, pad=0.01)
+    bar.set_label("success of recent episodes", fontsize=8)
+    bar.ax.tick_params(labelsize=7)
+    with atomic.replacing(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def _mark(axis: Axes, values: np.ndarray, solved: np.ndarray) -> None:
+    """Write each open bin's success into it, and frame the solved ones."""
+    from matplotlib.patches import Rectangle
+
+    for (x, y), value in np.ndenumerate(values):
+        if np.isnan(value):
+            continue
+        shade = "black" if value > 0.6 else "white"
+        axis.text(x + 0.5, y + 0.5, f"{100 * value:.0f}", ha="center", va="center", fontsize=7, color=shade)
+        if solved[x, y]:
+            axis.add_patch(Rectangle((x + 0.06, y + 0.06), 0.88, 0.88, fill=False, lw=1.4, edgecolor="black"))

@@ -1,0 +1,53 @@
+"""The picture of the automatic curriculum shows what is open, and changes with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.image import imread
+
+from skatemount.curriculum.auto import AutoCurriculum
+from skatemount.curriculum.base import CurriculumConfig
+
+
+def coloured(path: Path) -> float:
+    """Share of the picture that is neither grey, black nor white, left of the colour bar."""
+    pixels = imread(path)[:, :, :3]
+    pixels = pixels[:, : int(0.93 * pixels.shape[1])]
+    return float((np.ptp(pixels, axis=-1) > 0.1).mean())
+
+
+def test_closed_bins_are_blank_and_open_ones_coloured(tmp_path: Path) -> None:
+    auto = AutoCurriculum(CurriculumConfig(kind="auto"), 0.088)
+    shares = []
+    for opened in (False, True):
+        auto.opened[:] = opened
+        auto.draw(tmp_path / "curriculum.png", "a $title")
+        shares.append(coloured(tmp_path / "curriculum.png"))
+    assert shares[0] == 0.0 and shares[1] > 0.3
+    assert [p.name for p in tmp_path.iterdir()] == ["curriculum.png"]
+
+
+def test_solved_bins_are_framed(tmp_path: Path) -> None:
+    auto = AutoCurriculum(CurriculumConfig(kind="auto"), 0.088)
+    pictures = []
+    for least in (auto.config.memory, 1.0):
+        auto.config.least = least
+        auto.opened[:] = True
+        auto.trials[:], auto.successes[:] = 30.0, 27.0
+        auto.draw(tmp_path / "x.png", "")
+        pictures.append(imread(tmp_path / "x.png")[:, :, :3].sum(-1))
+    dark = [(picture < 0.3).mean() for picture in pictures]
+    assert dark[1] > 1.5 * dark[0]
+
+
+def test_success_per_distance_is_logged_where_it_is_known() -> None:
+    auto = AutoCurriculum(CurriculumConfig(kind="auto", distances=[0.1, 0.5, 1.0]), 0.088)
+    trials, successes = auto.trials.view(auto.shape), auto.successes.view(auto.shape)
+    trials[0, ..., -1, :], successes[0, ..., -1, :] = 38.0, 29.0
+    trials[1, ..., 0, :] = 38.0  # not at full height
+    logged = {name: value for name, value in auto.metrics().items() if name.endswith("m")}
+    assert list(logged) == ["Curriculum/success_0.1m"]
+    torch.testing.assert_close(logged["Curriculum/success_0.1m"], 0.75)
