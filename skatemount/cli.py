@@ -54,7 +54,7 @@ def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
 
     try:
         sys.argv[1:] = _stage_first(sys.argv[1:])
-        _check_stages(sys.argv[1:])
+        _check_choices(sys.argv[1:])
         application()
     except KeyboardInterrupt:
         sys.exit(130)
@@ -74,8 +74,8 @@ def _stage_first(arguments: list[str]) -> list[str]:
     return [next(ordered) if a in settings else a for a in arguments]
 
 
-def _check_stages(arguments: list[str]) -> None:
-    """Name the stages there are, which Hydra's own message on an unknown group member does not do in a line."""
+def _check_choices(arguments: list[str]) -> None:
+    """Name the stages or suites there are, which Hydra's own message on an unknown one does not do in a line."""
     for argument in arguments:
         key, _, value = argument.partition("=")
         if key in ("stage", "+stage", "++stage"):
@@ -83,6 +83,9 @@ def _check_stages(arguments: list[str]) -> None:
                 raise ConfigError(f"{argument}: write +stage={value}")
             for each in value.split(","):
                 configuration.check_stage(each)
+        if key == "suite" and value != "null":
+            for each in value.split(","):
+                configuration.check_suite(each)
 
 
 def _from_hydra(error: BaseException) -> bool:

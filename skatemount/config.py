@@ -16,6 +16,7 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 import skatemount
+from skatemount.benchmark.suites import SuiteConfig
 from skatemount.curriculum.base import CurriculumConfig
 from skatemount.envs.settings import TaskConfig
 from skatemount.errors import ConfigError
@@ -109,8 +110,9 @@ class Config(TaskConfig):
     init_from: str | None = "stage"
     resume: str | None = None
     checkpoint: str = "latest"
-    suite: str | None = None
+    suite: SuiteConfig | None = None
     episodes: int = 1000
+    episode: int = 0
     json: str | None = None
     output: str | None = None
 
@@ -120,6 +122,8 @@ class Config(TaskConfig):
         self.network.validate("network")
         self.algorithm.validate("algorithm")
         self.curriculum.validate("curriculum")
+        if self.suite is not None:
+            self.suite.validate("suite")
         if self.curriculum.kind == "stages":
             if self.stage.name:
                 raise ConfigError(
@@ -145,7 +149,7 @@ class Config(TaskConfig):
         for name in ("total_frames", "episodes"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name}={getattr(self, name)} must be at least 1")
-        for name, most in (("seed", 2**62), ("torch_threads", 1024)):
+        for name, most in (("seed", 2**62), ("episode", 2**40), ("torch_threads", 1024)):
             if not 0 <= getattr(self, name) <= most:
                 raise ConfigError(f"{name}={getattr(self, name)} must be 0 or more, and at most {most}")
         if self.collector.steps < 1:
@@ -193,17 +197,29 @@ def config_dir() -> Path:
 
 def stages() -> dict[str, str]:
     """Every stage with its one-line description."""
-    found = {}
-    for path in sorted((config_dir() / "stage").glob("*.yaml")):
-        stage = OmegaConf.load(path)
-        found[path.stem] = str(OmegaConf.select(stage, "stage.description", default=""))
-    return found
+    return _described("stage", "stage.description")
+
+
+def suites() -> dict[str, str]:
+    """Every suite with its one-line description."""
+    return _described("suite", "description")
+
+
+def _described(group: str, key: str) -> dict[str, str]:
+    files = sorted((config_dir() / group).glob("*.yaml"))
+    return {path.stem: str(OmegaConf.select(OmegaConf.load(path), key, default="")) for path in files}
 
 
 def check_stage(name: str) -> None:
     """Raise `ConfigError` unless a stage of that name exists."""
     if name not in stages():
         raise ConfigError(f"stage={name} is not a stage; there are: {', '.join(stages())}")
+
+
+def check_suite(name: str) -> None:
+    """Raise `ConfigError` unless a suite of that name exists."""
+    if name not in suites():
+        raise ConfigError(f"suite={name} is not a suite; there are: {', '.join(suites())}")
 
 
 def to_object(config: DictConfig | ListConfig) -> Config:

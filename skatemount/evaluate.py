@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from skatemount.benchmark.results import Evaluation
+    from skatemount.benchmark.trial import Trial
     from skatemount.config import Config
 
 
@@ -15,8 +17,9 @@ def evaluate(config: Config, overrides: list[str]) -> None:
     """Evaluate a policy with deterministic actions and print the results.
 
     Settings: ``checkpoint`` (a run, a checkpoint, a file, ``latest``, ``best``, ``pretrained:NAME``), ``suite`` (the
-    stage to evaluate in; the checkpoint's own if null), ``episodes``, ``seed``, ``json`` (file for the results). Any
-    setting of the task may be given besides; `skatemount.benchmark.suites.trial_config` says how they go together.
+    checkpoint's own task if null), ``episodes``, ``seed``, ``json`` (file for the results), ``output`` (folder for the
+    results and a success map of each suite). Any setting of the task may be given besides;
+    `skatemount.benchmark.trial.trial_config` says how they go together.
 
     Args:
         config: As composed from the command line.
@@ -25,39 +28,65 @@ def evaluate(config: Config, overrides: list[str]) -> None:
     Raises:
         ConfigError: No such policy or suite, or the policy does not fit the task.
     """
-    import torch
-    from rich.progress import Progress
-
-    from skatemount import atomic
-    from skatemount.benchmark.evaluation import EVALUATION_SEED, evaluate_policy
-    from skatemount.benchmark.suites import Trial
-    from skatemount.envs.physics.cpu import available_cores
+    from skatemount.benchmark import report
+    from skatemount.benchmark.success_map import plot_success_map
+    from skatemount.benchmark.trial import Trial
     from skatemount.errors import ConfigError
     from skatemount.provenance import package_versions
 
+    # Now rather than after all the episodes.
     if config.json is not None:
-        # Now rather than after all the episodes.
         if Path(config.json).is_dir():
             raise ConfigError(f"json={config.json} is a folder; it must name a file")
         Path(config.json).parent.mkdir(parents=True, exist_ok=True)
-    trial = Trial.prepare(config, overrides)
-    torch.set_num_threads(config.torch_threads or available_cores())
-    with Progress(transient=True, disable=not sys.stdout.isatty()) as bar:
-        task = bar.add_task(f"{config.episodes} episodes of {trial.suite}", total=None)
-        result = evaluate_policy(
-            trial.agent.networks,
-            trial.config,
-            config.episodes,
-            seed=EVALUATION_SEED + config.seed,
-            num_worlds=trial.config.physics.num_worlds,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
-        )
-    result.evaluated = trial.describe() | result.evaluated | {"versions": package_versions()}
-    print(result.table())
+    if config.output is not None:
+        Path(config.output).mkdir(parents=True, exist_ok=True)
+    trials = Trial.prepare(config, overrides)
+    results = {}
+    for i, trial in enumerate(trials):
+        place = f" ({i + 1} of {len(trials)})" if len(trials) > 1 else ""
+        result = _evaluate(trial, config.episodes, f"{trial.name}{place}")
+        result.evaluated["versions"] = package_versions()
+        results[trial.name] = result
+        if config.output is not None:
+            _write(result.to_dict(), Path(config.output) / f"{trial.label}.json")
+            picture = Path(config.output) / f"{trial.label}.png"
+            plot_success_map(result, [each.board for each in trial.configs.values()], picture)
+            print(f"written to {picture}")
+        if len(trials) > 1:
+            print(f"{trial.name}{place}: {result.success_rate:.1%}", flush=True)
+    if len(trials) > 1:
+        print(f"\n{trials[0].agent.name}, {config.episodes} episodes of each suite\n")
+        print(report.overview(results, "suite"))
+        document: dict[str, Any] = {"suites": {name: result.to_dict() for name, result in results.items()}}
+    else:
+        print(result.table())
+        failed = result.failed_episodes()
+        if failed:
+            print("", report.failed_episodes(result, trial.record_command(failed[0]["episode"])), sep="\n")
+        document = result.to_dict()
     if config.json is not None:
-        path = Path(config.json)
-        atomic.write_text(path, json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n")
-        print(f"written to {path}")
+        _write(document, Path(config.json))
+
+
+def _evaluate(trial: Trial, episodes: int, doing: str) -> Evaluation:
+    """Evaluate with a progress bar that says what it is at."""
+    from rich.progress import Progress
+
+    with Progress(transient=True, disable=not sys.stdout.isatty()) as bar:
+        task = bar.add_task(doing, total=1.0)
+
+        def show(share: float, variant: str) -> None:
+            bar.update(task, completed=share, description=f"{doing}, {variant}" if variant else doing)
+
+        return trial.evaluate(episodes, show)
+
+
+def _write(document: dict[str, Any], path: Path) -> None:
+    from skatemount import atomic
+
+    atomic.write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
+    print(f"written to {path}")
 
 
 def main() -> None:

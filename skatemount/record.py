@@ -18,10 +18,12 @@ MAX_RATE = 60.0
 def record(config: Config, overrides: list[str]) -> None:
     """Film one episode with deterministic actions: an MP4 and a filmstrip of six pictures.
 
-    The episode is the first one that the seed gives, whatever comes of it; another ``seed`` films another.
+    It is an episode of the evaluation with the same settings, run again step for step; the first one unless ``episode``
+    says which, whatever comes of it.
 
-    Settings: ``checkpoint`` and ``suite`` as for `skatemount.evaluate`, ``seed``, ``output`` (folder; the run's
-    ``videos`` for a checkpoint of a run, else ``videos`` here), and any setting of the task.
+    Settings: ``checkpoint``, ``suite`` and ``seed`` as for `skatemount.evaluate`, ``episode`` (its number there),
+    ``output`` (folder; the run's ``videos`` for a checkpoint of a run, else ``videos`` here), and any setting of the
+    task.
 
     Args:
         config: As composed from the command line.
@@ -34,15 +36,19 @@ def record(config: Config, overrides: list[str]) -> None:
     from rich.progress import track
 
     from skatemount import atomic, rendering
-    from skatemount.benchmark.evaluation import EVALUATION_SEED
     from skatemount.benchmark.playback import play
-    from skatemount.benchmark.suites import Trial
+    from skatemount.benchmark.trial import Trial
+    from skatemount.errors import ConfigError
 
-    trial = Trial.prepare(config, overrides)
-    episode = play(trial.agent.networks, trial.config, EVALUATION_SEED + config.seed)
+    trials = Trial.prepare(config, overrides)
+    if len(trials) > 1:
+        names = ", ".join(trial.name for trial in trials)
+        raise ConfigError(f"suite={config.suite.name if config.suite else None}: name one to film, of {names}")
+    trial = trials[0]
+    episode = play(trial, config.episode)
     moments = episode.moments
     folder = Path(config.output) if config.output else default_folder(trial.agent.path)
-    name = f"{trial.agent.name.replace('/', '_')}_{trial.suite}_seed{config.seed}"
+    name = f"{trial.label}_episode{config.episode}"
     film, strip = folder / f"{name}.mp4", folder / f"{name}.png"
 
     chosen = rendering.choose_moments(moments)
@@ -65,7 +71,7 @@ def record(config: Config, overrides: list[str]) -> None:
     painter.close()
     with atomic.replacing(strip) as temporary:
         rendering.filmstrip(pictures).save(temporary, format="png", optimize=True)
-    print(f"{trial.agent.name} on {trial.suite}, seed {config.seed}, first episode: {episode.verdict}")
+    print(f"{trial.agent.name} on {trial.name}, seed {config.seed}, episode {config.episode}: {episode.verdict}")
     print(f"written to {film} and {strip}")
 
 

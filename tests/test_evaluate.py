@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from PIL import Image
 
 from skatemount.agent import MODULE, make_card
 from skatemount.checkpoint import save_policy
@@ -38,20 +39,28 @@ def run(policy: Path, *overrides: str) -> None:
 
 def test_prints_a_table_and_writes_the_same(policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "results" / "a.json"
-    run(policy, f"json={out}", "suite=mount")
+    run(policy, f"json={out}", "suite=mount-fixed")
     printed = capsys.readouterr().out
     document = json.loads(out.read_text())
     assert document.keys() == {
-        "episodes", "success", "feet_on_board", "time_to_mount", "ended", "evaluated",
+        "episodes", "success", "time_to_mount", "feet_on_board", "board_displacement", "slips", "energy", "failures",
+        "failed_episodes", "evaluated",
     }  # fmt: skip
     assert document["episodes"] == 5
     assert document["success"].keys() == {"rate", "low", "high"}
     assert document["time_to_mount"].keys() == {"median", "p95"}
     evaluated = document["evaluated"]
-    assert (evaluated["checkpoint"], evaluated["suite"], evaluated["frames"]) == ("tiny", "mount", 4242)
+    assert (evaluated["checkpoint"], evaluated["suite"], evaluated["frames"]) == ("tiny", "mount-fixed", 4242)
     assert evaluated["overrides"] == SHORT
     assert evaluated["versions"]["mujoco"]
-    assert "tiny on mount" in printed
+    assert "tiny on mount-fixed" in printed
+    # Each failure is listed, with what films it.
+    failed = document["failed_episodes"]
+    assert len(failed) == 5 - round(document["success"]["rate"] * 5) > 0
+    assert (
+        f"suite=mount-fixed episode_length=0.8 physics.threads=1 physics.num_worlds=4 episode={failed[0]['episode']}"
+        in printed
+    )
     assert f"{document['success']['rate']:.1%}" in printed
     assert str(out) in printed
 
@@ -61,8 +70,31 @@ def test_the_seed_decides_and_is_not_a_trainings(policy: Path, tmp_path: Path) -
         run(policy, f"json={tmp_path / name}.json", f"seed={seed}")
     a, b, c = (json.loads((tmp_path / f"{name}.json").read_text()) for name in "abc")
     assert a == b
-    assert c["evaluated"]["seed"] == a["evaluated"]["seed"] + 1
-    assert a["evaluated"]["seed"] >= 1_000_000
+    assert (a["evaluated"]["seed"], c["evaluated"]["seed"]) == (0, 1)
+    assert a["energy"] != c["energy"]
+
+
+def test_several_suites_are_a_table_and_one_document(
+    policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(policy, f"json={tmp_path}/all.json", "suite=all", "suite.members=[balance-fixed,rolling]")
+    printed = capsys.readouterr().out
+    document = json.loads((tmp_path / "all.json").read_text())
+    assert list(document["suites"]) == ["balance-fixed", "rolling"]
+    for name, result in document["suites"].items():
+        assert f"{name} (" in printed
+        assert f"{result['success']['rate']:.1%}" in printed
+        assert result["evaluated"]["suite"] == name
+    assert "main failure" in printed
+
+
+def test_output_is_a_folder_of_results_and_success_maps(policy: Path, tmp_path: Path) -> None:
+    run(policy, f"output={tmp_path}/results", "suite=mount-fixed", "seed=3", f"json={tmp_path}/one.json")
+    made = sorted(path.name for path in (tmp_path / "results").iterdir())
+    assert made == ["tiny_mount-fixed_seed3.json", "tiny_mount-fixed_seed3.png"]
+    assert (tmp_path / "results" / made[0]).read_text() == (tmp_path / "one.json").read_text()
+    with Image.open(tmp_path / "results" / made[1]) as picture:
+        assert picture.format == "PNG" and picture.width > 800
 
 
 def test_a_mistake_is_one_line(policy: Path, tmp_path: Path) -> None:
@@ -70,6 +102,7 @@ def test_a_mistake_is_one_line(policy: Path, tmp_path: Path) -> None:
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
     assert result.returncode == 2
     assert result.stderr == (
-        "skatemount.evaluate: suite=walk is not a suite; there are: approach, balance, forward, gait, mount, unfixed\n"
+        "skatemount.evaluate: suite=walk is not a suite; there are: all, approach-fixed, approach-unfixed, "
+        "balance-fixed, far, gait, low-friction, mount-fixed, mount-unfixed, other-boards, pushed, rolling\n"
     )
     assert result.stdout == ""

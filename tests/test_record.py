@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from pathlib import Path
 
@@ -11,12 +12,15 @@ import pytest
 import torch
 from PIL import Image
 
-from skatemount.agent import MODULE, make_card
-from skatemount.benchmark.evaluation import EVALUATION_SEED, Evaluator
+from skatemount.agent import MODULE, Agent, make_card
+from skatemount.benchmark.evaluation import Evaluator
 from skatemount.benchmark.playback import play
+from skatemount.benchmark.suites import SuiteConfig
+from skatemount.benchmark.trial import Trial
 from skatemount.checkpoint import save_checkpoint
 from skatemount.config import Config, compose, to_dict
 from skatemount.envs.task import MountTask
+from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic
 from skatemount.record import default_folder, record
 from skatemount.runs import RunFolder
@@ -44,13 +48,13 @@ def checkpoint(runs_root: Path) -> Path:
 
 @needs_opengl
 def test_makes_a_film_and_a_filmstrip(checkpoint: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    overrides = ["episode_length=0.12", "physics.threads=1"]
+    overrides = ["episode_length=0.12", "physics.threads=1", "physics.num_worlds=4", "episode=2"]
     record(compose(None, overrides), overrides)
     videos = checkpoint.parent.parent / "videos"
     film, strip = sorted(videos.iterdir())
     printed = capsys.readouterr().out
     assert film.name in printed and strip.name in printed
-    assert "balance, seed 0, first episode: " in printed
+    assert "balance, seed 0, episode 2: " in printed and "episode2.mp4" in printed
 
     frames = imageio_ffmpeg.read_frames(str(film))
     about = next(frames)
@@ -69,19 +73,49 @@ def test_films_go_to_their_run(checkpoint: Path, tmp_path: Path) -> None:
     assert default_folder(tmp_path / "alone.safetensors") == Path("videos")
 
 
-@pytest.mark.parametrize("seed", [EVALUATION_SEED, EVALUATION_SEED + 1, EVALUATION_SEED + 2])
-def test_what_is_filmed_is_the_first_episode_of_the_seed(seed: int) -> None:
-    config = compose("balance", ["episode_length=1.2", "network.actor=[8]", "network.critic=[8]"])
-    networks = make_networks(config)
-    episode = play(networks, config, seed)
-    evaluator = Evaluator(config, num_worlds=1, seed=seed)
-    result = evaluator.run(networks, 1)
-    evaluator.close()
-    assert episode.succeeded == bool(result.successes)
-    assert episode.verdict.startswith("succeeded" if episode.succeeded else "failed")
-    assert [m.time for m in episode.moments] == pytest.approx([0.04 * i for i in range(len(episode.moments))])
-    if result.ended["time_out"]:
-        assert len(episode.moments) == 31
-    else:
-        assert "ended after" in episode.verdict
-        assert len(episode.moments) < 31
+def test_a_film_is_the_evaluated_episode_exactly(checkpoint: Path) -> None:
+    # Some of these stand to the end, some are thrown over; two boards, several rounds of three worlds.
+    changes = ["start.x=[-0.1,0.1]", "start.ang_vel=[-1.2,1.2]", "episode_length=1.2"]
+    suite = SuiteConfig(
+        name="test", stage="balance", overrides=changes, variants={"usual": [], "free": ["start.board_fixed=0"]}
+    )
+    trial = Trial.of(Agent.load(str(checkpoint)), suite, ["physics.num_worlds=3", "physics.threads=1"])
+    evaluated, final = trial.evaluate(14), final_positions(trial, rounds=3)
+    ends = evaluated.records.end
+    assert (ends == 0).any() and (ends > 0).any()
+    early, late = (int(mask.nonzero()[-1]) for mask in (ends > 0, ends == 0))
+    for number in (early, late, 1):
+        episode = play(trial, number)
+        for name, value in vars(evaluated.records[number : number + 1]).items():
+            played = getattr(episode.record, name)
+            assert torch.equal(played, value) or (played != played).all() and (value != value).all(), name
+        last = episode.moments[-1]
+        assert last.time == pytest.approx(float(evaluated.records.duration[number]))
+        np.testing.assert_array_equal(last.qpos, final[number])
+        assert episode.verdict.startswith("succeeded" if episode.record.success else "failed")
+        assert ("ended after" in episode.verdict) == bool(ends[number])
+    assert len(episode.moments) == round(float(evaluated.records.duration[number]) / 0.04) + 1
+
+
+def final_positions(trial: Trial, rounds: int) -> dict[int, np.ndarray]:
+    """Every episode's last position, as the engine has it when a batch of them is evaluated."""
+    final: dict[int, np.ndarray] = {}
+
+    def note(step: int, evaluator: Evaluator, turn: int, variant: int) -> None:
+        for world in range(evaluator.env.num_worlds):
+            number = (turn * evaluator.env.num_worlds + world) * len(trial.configs) + variant
+            if step and number not in final and evaluator.has_ended(world):
+                final[number] = evaluator.env.physics.world(world)[1].qpos.copy()
+
+    for i, variant in enumerate(trial.configs):
+        evaluator = trial.evaluator(variant)
+        for turn in range(rounds):
+            watch = functools.partial(note, evaluator=evaluator, turn=turn, variant=i)
+            evaluator.round(trial.agent.networks, turn, watch)
+        evaluator.close()
+    return final
+
+
+def test_a_suite_of_suites_cannot_be_filmed(checkpoint: Path) -> None:
+    with pytest.raises(ConfigError, match="suite=all: name one to film, of gait, balance-fixed"):
+        record(compose(None, ["suite=all"]), ["suite=all"])

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from skatemount.benchmark.evaluation import deterministic, first_end
-from skatemount.config import Config
-from skatemount.envs import success
+from skatemount.benchmark.evaluation import Evaluator
+from skatemount.benchmark.records import EpisodeRecords
+from skatemount.benchmark.report import in_words
+from skatemount.benchmark.trial import Trial
 from skatemount.envs.entities.skateboard import SkateboardConfig
-from skatemount.envs.mount_env import MountEnv
-from skatemount.envs.task import MountTask
-from skatemount.models import ActorCritic
 from skatemount.rendering import Moment
 
 _ROBOT_REACH = np.array([[0.3, 0.0, 0.06], [-0.3, 0.0, 0.06], [0.0, 0.15, 0.06], [0.0, -0.15, 0.06]])
@@ -31,7 +29,7 @@ class Episode:
         subjects: ``[K, 3]`` where robot and board were, m.
         feet: The feet's geom ids.
         control_step: Seconds between two moments.
-        succeeded: What the environment says.
+        record: What came of it, a batch of one.
         verdict: What came of it, in words.
     """
 
@@ -40,52 +38,62 @@ class Episode:
     subjects: np.ndarray
     feet: list[int]
     control_step: float
-    succeeded: bool
+    record: EpisodeRecords
     verdict: str
 
 
-def play(networks: ActorCritic, config: Config, seed: int) -> Episode:
-    """Play the first episode that a seed gives, with deterministic actions.
+def play(trial: Trial, number: int) -> Episode:
+    """Play an episode of a trial once more, exactly as it was evaluated.
+
+    Every world of its round is stepped again: what one world meets is drawn together with the others.
 
     Args:
-        networks: The policy.
-        config: The task.
-        seed: Source of the world, the start state and the noise.
+        trial: The policy and its test.
+        number: The episode's, from 0.
 
     Returns:
         The episode.
     """
-    env = MountEnv(MountTask(config=config), num_worlds=1, threads=1, seed=seed)
-    step = env.mdp.context.control_step
+    variant, turn = trial.variant_of(number)
+    evaluator = trial.evaluator(variant)
+    env = evaluator.env
+    rounds, world = divmod(turn, env.num_worlds)
+    control_step = env.mdp.context.control_step
     corners = _board_corners(env.task.scene.board.config)
-    moments, subjects = [], []
-    seen, done = env.reset(), False
-    with deterministic():
-        while True:
-            sim, episode = env.sim, env.episode
-            model, data = env.physics.world(0)
-            moments.append(
-                Moment(
-                    time=int(episode.step[0]) * step,
-                    on_deck=episode.on_deck[0].tolist(),
-                    touching=episode.touching[0].tolist(),
-                    mounted=bool(episode.mounted[0]),
-                    qpos=data.qpos.copy(),
-                    mocap_pos=data.mocap_pos.copy(),
-                )
+    moments: list[Moment] = []
+    subjects: list[np.ndarray] = []
+    ended = False
+
+    def watch(step: int) -> None:
+        nonlocal ended
+        if ended:
+            return
+        sim, episode = env.sim, env.episode
+        _, data = env.physics.world(world)
+        moments.append(
+            Moment(
+                time=step * control_step,
+                on_deck=episode.on_deck[world].tolist(),
+                touching=episode.touching[world].tolist(),
+                mounted=bool(episode.mounted[world]),
+                qpos=data.qpos.copy(),
+                mocap_pos=data.mocap_pos.copy(),
             )
-            subjects.append(sim.foot_pos[0].numpy())
-            subjects.append(sim.base_pos[0].numpy() + _ROBOT_REACH @ sim.base_rot[0].numpy().T)
-            subjects.append(sim.board_pos[0].numpy() + corners @ sim.board_rot[0].numpy().T)
-            if done:
-                break
-            seen = env.step(networks.actor(seen))["next"]
-            done = bool(seen["done"])
-    succeeded = bool(seen["success"])
-    verdict = _verdict(env, succeeded)
-    feet = [model.geom(geom.full_identifier).id for geom in env.task.scene.robot.foot_geoms]
-    env.close()
-    return Episode(moments, model, np.concatenate(subjects), feet, step, succeeded, verdict)
+        )
+        subjects.append(sim.foot_pos[world].numpy())
+        subjects.append(sim.base_pos[world].numpy() + _ROBOT_REACH @ sim.base_rot[world].numpy().T)
+        subjects.append(sim.board_pos[world].numpy() + corners @ sim.board_rot[world].numpy().T)
+        ended = evaluator.has_ended(world)
+
+    try:
+        record = evaluator.round(trial.agent.networks, rounds, watch)[world : world + 1]
+        model, _ = env.physics.world(world)
+        feet = [model.geom(geom.full_identifier).id for geom in env.task.scene.robot.foot_geoms]
+        verdict = _verdict(evaluator, record, moments[-1])
+    finally:
+        evaluator.close()
+    record.number[:] = number
+    return Episode(moments, model, np.concatenate(subjects), feet, control_step, record, verdict)
 
 
 def _board_corners(board: SkateboardConfig) -> np.ndarray:
@@ -94,15 +102,10 @@ def _board_corners(board: SkateboardConfig) -> np.ndarray:
     return np.array(list(itertools.product((-x, x), (-y, y), (-board.deck_height, 0.0))))
 
 
-def _verdict(env: MountEnv, succeeded: bool) -> str:
-    end = int(first_end(env)[0])
-    step = env.mdp.context.control_step
-    elapsed = float(env.episode.step[0]) * step
-    if end:
-        return f"failed, ended after {elapsed:.2f} s by {env.mdp.end_names()[end - 1].replace('_', ' ')}"
-    if not succeeded:
-        return f"failed, {int(env.episode.on_deck.sum())} feet on the board after {elapsed:.2f} s"
-    if env.task.config.success != "mount":
-        return "succeeded"
-    time = float(success.time_to_mount(env.episode, step)[0])
-    return f"succeeded, mounted {time:.2f} s after the first foot touched the board"
+def _verdict(evaluator: Evaluator, record: EpisodeRecords, last: Moment) -> str:
+    if record.success:
+        time = float(record.mount_time)
+        return "succeeded" + (f", mounted {time:.2f} s after the first foot touched the board" if time >= 0 else "")
+    if record.end:
+        return f"failed, ended after {last.time:.2f} s by {in_words(evaluator.ends[int(record.end)])}"
+    return f"failed, {sum(last.on_deck)} feet on the board after {last.time:.2f} s"

@@ -84,8 +84,11 @@ class AutoCurriculum:
     def weights(self) -> Tensor:
         """How often each bin is drawn, ``[bins]``, summing to 1."""
         rate, useful = self.rates(), self.opened & ~self._outgrown()
-        # A bin that has just opened is rarely solved, and is what has to be learnt.
-        learning = torch.where(rate < self.config.solved, 1.0, (4 * rate * (1 - rate)).clamp(min=0.05)) * useful
+        # A bin that has just opened is rarely solved, and is what has to be learnt; once it is solved, a lower step
+        # than the board's own has opened what it could.
+        left = (4 * rate * (1 - rate)).view(self.shape).clone()
+        left[..., :-1, :] = 0.0
+        learning = torch.where(self.solved(), left.flatten().clamp(min=0.05), 1.0) * useful
         alike = useful.to(rate.dtype)
         replay = self.config.replay
         return (1 - replay) * learning / learning.sum() + replay * alike / alike.sum()

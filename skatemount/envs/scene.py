@@ -204,6 +204,7 @@ class SceneIndex:
         touched_geoms: Ids of the geoms whose friction the robot feels: its own, the deck, its floor.
         weld: Equality id of the board's weld.
         floor_mocap: Mocap id of the robot's floor.
+        rolling: ``[nv]`` velocities of a scene whose board, as it lies at a start, rolls forward at 1 m/s.
         joint_range: ``[12, 2]``, radians.
     """
 
@@ -224,6 +225,7 @@ class SceneIndex:
     touched_geoms: np.ndarray
     weld: int
     floor_mocap: int
+    rolling: np.ndarray
     joint_range: np.ndarray
 
     @classmethod
@@ -262,6 +264,10 @@ class SceneIndex:
         robot_joint = model.joint(scene.robot_frame.freejoint.full_identifier)
         board_joint = model.joint(scene.board_frame.freejoint.full_identifier)
         rq, rd, bq = (int(robot_joint.qposadr[0]), int(robot_joint.dofadr[0]), int(board_joint.qposadr[0]))
+        rolling = np.zeros(model.nv)
+        rolling[int(board_joint.dofadr[0])] = 1.0
+        for wheel in scene.board.wheel_joints:
+            rolling[model.joint(wheel.full_identifier).dofadr[0]] = 1 / scene.board.config.wheel_radius
         floor = model.body(scene.arena.robot_floor.full_identifier)
         touched = [*scene.robot.foot_geoms, scene.board.deck_geom, scene.arena.robot_ground]
         touched += [geom for geoms in scene.robot.body_geoms.values() for geom in geoms]
@@ -285,5 +291,6 @@ class SceneIndex:
             touched_geoms=np.array([model.geom(g.full_identifier).id for g in touched]),
             weld=int(model.equality(scene.weld.full_identifier).id),
             floor_mocap=int(floor.mocapid[0]),
+            rolling=rolling,
             joint_range=np.stack([j.range for j in joints]),
         )

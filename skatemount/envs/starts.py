@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -33,6 +34,7 @@ class StartConfig:
         x: Trunk forward of the deck's centre, board frame, m.
         y: Trunk left of the deck's centre, m.
         both_sides: Draw the side of ``y`` anew for each start.
+        distance: Trunk from the deck's centre in the plane, m, in any direction; instead of ``x`` and ``y`` if given.
         yaw: Heading of the trunk in the board frame, rad.
         roll: Trunk, rad, within 0.5 of upright.
         pitch: Trunk, rad, likewise.
@@ -44,6 +46,8 @@ class StartConfig:
         step_height: Deck above the robot's floor, m; the board's own height if null. Lower steps are made by raising
             the robot's floor.
         board_fixed: Share of the starts with the deck welded to the world, 0 to 1.
+        board_speed: Speed at which a free board rolls along its x axis at the start, m/s, in either direction; a fixed
+            one is at rest.
         edge_margin: No foot starts nearer to the deck's edge than this, m.
         force: Each axis of a constant force on the trunk for the whole episode, N.
         torque: Each axis of a constant torque on the trunk, N m.
@@ -52,6 +56,7 @@ class StartConfig:
     x: list[float] = field(default_factory=_zero)
     y: list[float] = field(default_factory=_zero)
     both_sides: bool = False
+    distance: list[float] | None = None
     yaw: list[float] = field(default_factory=_zero)
     roll: list[float] = field(default_factory=_zero)
     pitch: list[float] = field(default_factory=_zero)
@@ -62,6 +67,7 @@ class StartConfig:
     joint_vel: list[float] = field(default_factory=_zero)
     step_height: list[float] | None = None
     board_fixed: float = 1.0
+    board_speed: list[float] = field(default_factory=_zero)
     edge_margin: float = 0.02
     force: list[float] = field(default_factory=_zero)
     torque: list[float] = field(default_factory=_zero)
@@ -80,6 +86,12 @@ class StartConfig:
                     f"{where}.{name}={[low, high]} must be within -{_MAX_TILT} and {_MAX_TILT} rad: tilted farther the "
                     "robot touches the ground with more than its feet"
                 )
+        if self.distance is not None and self.distance[0] < 0:
+            raise ConfigError(f"{where}.distance={self.distance} must be 0 or more, in metres")
+        if self.board_speed[0] < 0:
+            raise ConfigError(
+                f"{where}.board_speed={self.board_speed} must be 0 or more, in m/s: the direction is drawn besides"
+            )
         if self.height[0] < 0:
             raise ConfigError(
                 f"{where}.height={self.height} must be 0 or more, in metres: lower would be in the ground"
@@ -177,16 +189,22 @@ class StartSampler:
             if have >= count:
                 return WorldStart.cat(parts)[:count]
         c = self.config
+        where = f"start.x={c.x}, start.y={c.y}" if c.distance is None else f"start.distance={c.distance}"
         raise ConfigError(
-            f"start.x={c.x}, start.y={c.y}, start.yaw={c.yaw} leave hardly any place to stand: {have} of "
+            f"{where}, start.yaw={c.yaw} leave hardly any place to stand: {have} of "
             f"{_ROUNDS * count} candidates keep every foot {c.edge_margin} m off the deck's edge; widen them"
         )
 
     def _within_ranges(self, n: int, generator: torch.Generator) -> Placement:
         c, deck = self.config, self._context.deck_height
-        xy = torch.stack((_uniform(c.x, generator, n), _uniform(c.y, generator, n)), 1)
-        if c.both_sides:
-            xy[:, 1] *= torch.where(torch.rand(n, generator=generator) < 0.5, -1.0, 1.0)
+        if c.distance is not None:
+            bearing = 2 * math.pi * torch.rand(n, generator=generator)
+            direction = torch.stack((bearing.cos(), bearing.sin()), 1)
+            xy = _uniform(c.distance, generator, n, 1) * direction
+        else:
+            xy = torch.stack((_uniform(c.x, generator, n), _uniform(c.y, generator, n)), 1)
+            if c.both_sides:
+                xy[:, 1] *= _either_sign(generator, n)
         step = torch.full((n,), deck) if c.step_height is None else _uniform(c.step_height, generator, n)
         return Placement(
             xy=xy,
@@ -236,11 +254,20 @@ class StartSampler:
             joint_vel=uniform(c.joint_vel, 12),
             ground_height=ground,
             board_fixed=place.board_fixed,
+            board_speed=self._board_speed(place.board_fixed, generator),
             bin=place.bin,
             force=uniform(c.force, 3),
             torque=uniform(c.torque, 3),
         )
         return start, valid
+
+    def _board_speed(self, fixed: Tensor, generator: torch.Generator) -> Tensor:
+        n, bounds = len(fixed), self.config.board_speed
+        if bounds == _zero():
+            # Nothing is drawn, so that a seed's starts are what they were without this setting.
+            return torch.zeros(n)
+        speed = _uniform(bounds, generator, n) * _either_sign(generator, n)
+        return torch.where(fixed, 0.0, speed)
 
     def _support(self, xy: Tensor, ground: Tensor) -> Tensor:
         over = (xy.abs() < self._deck).all(-1)
@@ -261,6 +288,10 @@ class StartSampler:
 def _uniform(bounds: list[float], generator: torch.Generator, *shape: int) -> Tensor:
     low, high = bounds
     return low + (high - low) * torch.rand(*shape, generator=generator)
+
+
+def _either_sign(generator: torch.Generator, n: int) -> Tensor:
+    return torch.where(torch.rand(n, generator=generator) < 0.5, -1.0, 1.0)
 
 
 class StartQueue:

@@ -136,6 +136,7 @@ class MountTask(composer.Task):
         index, data = self._index, physics.data
         data.qpos[index.base_qpos] = torch.cat((start.base_pos[0], start.base_quat[0]))
         data.qpos[index.joint_qpos] = start.joint_pos[0]
+        data.qvel[:] = float(start.board_speed[0]) * index.rolling
         data.qvel[index.base_dof] = torch.cat((start.base_lin_vel[0], start.base_ang_vel[0]))
         data.qvel[index.joint_dof] = start.joint_vel[0]
         data.ctrl[index.actuators] = start.joint_pos[0]

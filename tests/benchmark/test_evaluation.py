@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import pytest
 import torch
 
-from skatemount.benchmark.evaluation import Evaluation, Evaluator, evaluate_policy
+from skatemount.benchmark.evaluation import Evaluator, mix_seeds
+from skatemount.benchmark.results import Evaluation
 from skatemount.config import Config, compose
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.task import MountTask
@@ -33,9 +33,16 @@ def mixed() -> tuple[Config, ActorCritic]:
     return config, make_networks(config)
 
 
+def evaluate(networks: ActorCritic, config: Config, episodes: int, worlds: int, seed: int = 0) -> Evaluation:
+    evaluator = Evaluator(config, worlds, seed)
+    result = evaluator.run(networks, episodes)
+    evaluator.close()
+    return result
+
+
 def first_verdicts(config: Config, networks: ActorCritic, worlds: int, seed: int) -> list[bool]:
     """What the environment says at the end of each world's first episode."""
-    env = MountEnv(MountTask(config=config), num_worlds=worlds, seed=seed)
+    env = MountEnv(MountTask(config=config), num_worlds=worlds, seed=mix_seeds(seed, 0))
     verdicts: dict[int, bool] = {}
     seen = env.reset()
     with torch.no_grad():
@@ -51,53 +58,57 @@ def first_verdicts(config: Config, networks: ActorCritic, worlds: int, seed: int
 def test_verdicts_are_the_environments(mixed: tuple[Config, ActorCritic]) -> None:
     config, networks = mixed
     expected = first_verdicts(config, networks, worlds=40, seed=3)
-    result = evaluate_policy(networks, config, episodes=40, seed=3, num_worlds=40)
+    result = evaluate(networks, config, 40, worlds=40, seed=3)
     assert 0 < sum(expected) < 40  # both verdicts occur
     assert result.successes == sum(expected)
-    assert len(result.times_to_mount) == result.successes
-
-
-def test_counts_exactly_the_episodes_asked_for(mixed: tuple[Config, ActorCritic]) -> None:
-    config, networks = mixed
-    evaluator = Evaluator(config, num_worlds=8, seed=5)
-    counted = [evaluator.run(networks, episodes) for episodes in (8, 11, 16)]
-    assert [c.episodes for c in counted] == [8, 11, 16]
-    # A longer evaluation goes on where the shorter one ended.
-    assert counted[0].successes <= counted[1].successes <= counted[2].successes
-    for each in counted:
-        assert sum(each.ended.values()) == pytest.approx(1.0)
-        assert each.successes / each.episodes <= each.ended["time_out"]
-    evaluator.close()
-
-
-def test_early_ends_are_named_and_count_once(mixed: tuple[Config, ActorCritic]) -> None:
-    config, networks = mixed
-    result = evaluate_policy(networks, config, episodes=40, seed=3, num_worlds=40)
-    early = 1 - result.ended["time_out"]
+    assert int(result.records.mount_time.isfinite().sum()) == result.successes
+    # What happened until then, by the same environment's own account.
+    early = 1 - result.failures().get("not_mounted", 0) / 40 - result.success_rate
     assert 0 < early < 1
-    assert result.ended["tilt"] + result.ended["trunk_contact"] > 0
-    # Episodes that ended early count no feet at all.
-    assert result.feet_on_board <= 4 * result.ended["time_out"]
+    assert set(result.failures()) <= {"not_mounted", "tilt", "trunk_contact", "board_tilt"}
+    assert sum(result.failures().values()) == 40 - result.successes == len(result.failed_episodes())
+    assert ((result.records.end == 0) | (result.records.feet == 0)).all()  # ended early: no feet at all
+    assert ((result.records.end == 0) == (result.records.duration == 2.0)).all()
+
+
+def test_an_episode_is_the_same_however_many_are_asked_for(mixed: tuple[Config, ActorCritic]) -> None:
+    config, networks = mixed
+    evaluator = Evaluator(config, num_worlds=6, seed=5)
+    many, few = evaluator.run(networks, 15), evaluator.run(networks, 7)
+    alone = evaluator.round(networks, 1)
+    evaluator.close()
+    assert (few.episodes, many.episodes) == (7, 15)
+    assert many.records.number.tolist() == list(range(15))
+    for name, values in vars(many.records).items():
+        for part, rows in ((few.records, slice(0, 7)), (alone, slice(6, 12))):
+            torch.testing.assert_close(getattr(part, name), values[rows], rtol=0, atol=0, equal_nan=True)
+    # Rounds differ.
+    assert not torch.equal(many.records.start[:6], many.records.start[6:12])
 
 
 def test_equal_seeds_give_equal_numbers_and_others_do_not(mixed: tuple[Config, ActorCritic]) -> None:
     config, networks = mixed
-    evaluator = Evaluator(config, num_worlds=6, seed=7)
-    first, again = evaluator.run(networks, 9), evaluator.run(networks, 9)
-    evaluator.close()
-    elsewhere = evaluate_policy(networks, config, 9, seed=7, num_worlds=6)
-    assert first.to_dict() == again.to_dict() == elsewhere.to_dict()
-    other = evaluate_policy(networks, config, 9, seed=8, num_worlds=6)
-    assert other.feet_on_board != first.feet_on_board
+    first, again = (evaluate(networks, config, 6, worlds=6, seed=7) for _ in range(2))
+    assert first.to_dict() == again.to_dict()
+    other = evaluate(networks, config, 6, worlds=6, seed=8)
+    assert not torch.equal(other.records.start, first.records.start)
+
+
+def test_mixed_seeds_do_not_meet() -> None:
+    parts = [(seed, suite, number) for seed in range(20) for suite in range(10) for number in range(10)]
+    seeds = {mix_seeds(*each) for each in parts}
+    assert len(seeds) == len(parts)
+    assert min(seeds) >= 2**31 and max(seeds) < 2**32
+    assert mix_seeds(1, 2) != mix_seeds(2, 1)
 
 
 def test_training_is_not_disturbed(mixed: tuple[Config, ActorCritic]) -> None:
     config, networks = mixed
     before = {k: v.clone() for k, v in networks.state_dict().items()}
     torch.set_float32_matmul_precision("medium")
-    state = torch.get_rng_state()
-    evaluate_policy(networks, config, 4)
-    assert torch.get_float32_matmul_precision() == "medium"
+    state, threads = torch.get_rng_state(), torch.get_num_threads()
+    evaluate(networks, config, 4, worlds=4)
+    assert (torch.get_float32_matmul_precision(), torch.get_num_threads()) == ("medium", threads)
     assert torch.is_grad_enabled()
     assert torch.equal(torch.get_rng_state(), state)
     torch.set_float32_matmul_precision("highest")
@@ -111,50 +122,32 @@ def test_standing_on_the_deck_succeeds_and_standing_beside_it_does_not() -> None
     results = []
     for y in (0.0, 0.8):
         config = compose("balance", [*SHORT, *still, f"start.y=[{y},{y}]"])
-        results.append(evaluate_policy(make_networks(config), config, 4))
+        results.append(evaluate(make_networks(config), config, 4, worlds=4))
     on, beside = results
-    assert (on.success_rate, on.ended["time_out"]) == (1.0, 1.0)
+    assert (on.success_rate, on.failures()) == (1.0, {})
     assert on.feet_on_board == pytest.approx(4.0, abs=0.1)
     assert 0 <= on.to_dict()["time_to_mount"]["median"] < 0.6
+    assert on.displacement(0.95) == pytest.approx(0.0, abs=1e-3)
+    assert 0 < on.energy < 100
     assert (beside.success_rate, beside.feet_on_board) == (0.0, 0.0)
     assert beside.to_dict()["time_to_mount"] == {"median": None, "p95": None}
-    assert beside.ended["time_out"] == 1.0  # it stood, but not on the board
-
-
-def test_results_as_json_and_as_a_table() -> None:
-    result = Evaluation(
-        episodes=20,
-        successes=0,
-        feet_on_board=1.5,
-        ended={"time_out": 0.75, "tilt": 0.25, "diverged": 0.0},
-        evaluated={"checkpoint": "a/b", "suite": "mount"},
-    )
-    document = json.loads(json.dumps(result.to_dict(), allow_nan=False))
-    assert document["episodes"] == 20
-    assert document["success"] == pytest.approx({"rate": 0, "low": 0, "high": 0.1611}, abs=5e-5)
-    assert document["time_to_mount"] == {"median": None, "p95": None}
-    text = result.table()
-    for part in ("a/b on mount", "0.0% (95 % interval 0.0% to 16.1%)", "time out 75.0%, tilt 25.0%"):
-        assert part in text
-    assert "diverged" not in text
-
-
-def test_quantiles_of_the_time_to_mount() -> None:
-    times = [float(i) for i in range(1, 102)]
-    result = Evaluation(episodes=200, successes=101, feet_on_board=2.0, times_to_mount=times)
-    assert result.to_dict()["time_to_mount"] == {"median": 51.0, "p95": 96.0}
-    assert result.metrics()["Evaluation/time_to_mount"] == 51.0
+    assert beside.failures() == {"not_mounted": 4}  # it stood, but not on the board
+    start = beside.failed_episodes()[0]["start"]
+    assert (start["x"], start["y"], start["yaw"]) == pytest.approx((0.0, 0.8, 0.0), abs=1e-3)
 
 
 def test_progress_counts_to_the_end(mixed: tuple[Config, ActorCritic]) -> None:
     config, networks = mixed
     calls: list[tuple[int, int]] = []
-    evaluate_policy(networks, config, 3, num_worlds=2, progress=lambda *x: calls.append(x))
+    evaluator = Evaluator(config, num_worlds=2)
+    evaluator.run(networks, 3, progress=lambda *x: calls.append(x))
+    evaluator.close()
     total = 2 * math.ceil(2.0 / 0.04)
-    assert calls == [(i, total) for i in range(1, total + 1)]
+    assert calls == sorted(calls)
+    assert calls[0] == (0, total) and calls[-1] == (total, total) and (5, total) in calls
 
 
 def test_no_episodes_are_refused(mixed: tuple[Config, ActorCritic]) -> None:
     config, networks = mixed
     with pytest.raises(ConfigError, match="episodes=0"):
-        evaluate_policy(networks, config, 0)
+        evaluate(networks, config, 0, worlds=2)

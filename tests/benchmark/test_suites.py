@@ -1,112 +1,120 @@
-"""Which task a policy is evaluated in."""
+"""The suites that there are."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import functools
+from collections import Counter
 
 import pytest
 import torch
 
-from skatemount.agent import MODULE, make_card
-from skatemount.benchmark.evaluation import NUM_WORLDS
-from skatemount.benchmark.suites import Trial, trial_config
-from skatemount.checkpoint import save_policy
-from skatemount.config import Config, compose, to_dict
+from skatemount.benchmark.suites import SuiteConfig
+from skatemount.benchmark.trial import expand, load_suite, trial_config
+from skatemount.config import Config, check_suite, compose, from_dict, suites, to_dict
 from skatemount.envs.task import MountTask
 from skatemount.errors import ConfigError
-from skatemount.models import ActorCritic
 
-TRAINED = [
-    "observation=compact",
-    "robot.kp=28",
-    "physics.timestep=0.005",
-    "physics.threads=7",
-    "physics.num_worlds=5000",
-    "network.actor=[8]",
-    "board.deck_friction=0.9",
-    "start.x=[-0.01,0.01]",
-]
+PAIRS = {"mount-fixed": "mount-unfixed", "approach-fixed": "approach-unfixed"}
+ONES = [name for name in suites() if name != "all"]
 
 
-@pytest.fixture(scope="module")
-def policy() -> Config:
-    return compose("balance", TRAINED)
+@functools.cache
+def task(name: str, variant: str = "") -> Config:
+    found = load_suite(name)
+    return trial_config(compose("balance"), found, variant=found.variants.get(variant, []))
 
 
-def test_without_suite_it_is_what_the_policy_was_trained_in(policy: Config) -> None:
-    trial, expected = to_dict(trial_config(policy, None)), to_dict(policy)
-    # Except for what belongs to the machine.
-    expected["physics"] |= {"threads": 0, "num_worlds": NUM_WORLDS}
-    assert trial == expected
+def test_all_is_every_suite() -> None:
+    every = expand(load_suite("all"))
+    assert sorted(each.name for each in every) == sorted(ONES)
+    assert all(each.version >= 1 and each.description for each in every)
 
 
-def test_a_suite_sets_the_task_and_keeps_what_is_the_policys(policy: Config) -> None:
-    trial, stage = trial_config(policy, "unfixed"), compose("unfixed")
-    assert (trial.start, trial.board, trial.reward) == (stage.start, stage.board, stage.reward)
-    assert (trial.episode_length, trial.stage.name) == (6.0, "unfixed")
-    assert (trial.robot, trial.observation) == (policy.robot, policy.observation)
-    assert (trial.network, trial.physics.timestep) == (policy.network, 0.005)
-    assert trial.physics.threads == 0
+def test_suites_share_no_worlds_but_for_the_pairs() -> None:
+    shared = [seed for seed, n in Counter(load_suite(name).seed for name in ONES).items() if n > 1]
+    assert {load_suite(name).seed for pair in PAIRS.items() for name in pair} == set(shared)
+    assert len(shared) == len(PAIRS)
 
 
-def test_overrides_come_on_top_setting_by_setting(policy: Config) -> None:
-    overrides = ["start.y=[0.1,0.2]", "physics.threads=1", "physics.num_worlds=9", "~reward.alive"]
-    trial = trial_config(policy, None, overrides)
-    assert (trial.start.y, trial.start.x) == ([0.1, 0.2], [-0.01, 0.01])
-    assert (trial.physics.threads, trial.physics.num_worlds) == (1, 9)
-    assert "alive" not in trial.reward
-    assert trial.robot.kp == 28
-    # One that repeats a default counts too, where the policy's setting is another.
-    assert trial_config(policy, None, ["robot.kp=35"]).robot.kp == 35
+@pytest.mark.parametrize(("fixed", "free"), PAIRS.items())
+def test_a_pair_differs_in_the_board_being_fixed(fixed: str, free: str) -> None:
+    a, b = to_dict(task(fixed)), to_dict(task(free))
+    assert (a["start"].pop("board_fixed"), b["start"].pop("board_fixed")) == (1.0, 0.0)
+    for key in ("start", "board", "physics", "observation", "randomization", "termination", "episode_length"):
+        assert a[key] == b[key]
+    starts = [
+        MountTask(config=task(name)).make_sampler().draw(20, torch.Generator().manual_seed(7)) for name in (fixed, free)
+    ]
+    assert torch.equal(starts[0].base_pos, starts[1].base_pos)
 
 
-def test_a_group_is_taken_whole_as_the_stage_composes_it(policy: Config) -> None:
-    longboard = trial_config(policy, None, ["board=longboard", "board.mass=4"]).board
-    assert longboard == compose(None, ["board=longboard", "board.mass=4"]).board
-    start = trial_config(policy, "unfixed", ["start=near"]).start
-    assert (start.x, start.board_fixed) == ([-1.0, 1.0], 0.0)
+def test_lengths_and_boards_are_as_designed() -> None:
+    lengths = {name: task(name).episode_length for name in ONES}
+    assert lengths.pop("gait") == lengths.pop("far") == 10
+    assert {lengths.pop(name) for name in ("balance-fixed", "mount-fixed", "mount-unfixed")} == {5}
+    assert set(lengths.values()) == {6}
+    for name in ("mount-unfixed", "approach-unfixed", "rolling", "far", "pushed", "low-friction", "other-boards"):
+        assert task(name).start.board_fixed == 0.0, name
 
 
-def test_a_policy_without_commands_gets_none_elsewhere() -> None:
-    blind = compose("mount", ["command=zero"])
-    assert trial_config(blind, "approach").command.mode == "zero"
-    assert trial_config(blind, "approach", ["command=board"]).command.mode == "board"
+def test_what_sets_the_hard_suites_apart() -> None:
+    near = task("approach-unfixed")
+    assert task("rolling").start.board_speed == [0.0, 0.5] and near.start.board_speed == [0.0, 0.0]
+    far = task("far")
+    assert far.start.distance == [1.0, 2.0]
+    assert far.termination["out_of_reach"].params["metres"] > 2.2
+    assert task("pushed").randomization.push_interval == [1.0, 2.0] and near.randomization.push_interval is None
+    slippery = task("low-friction").randomization.friction
+    assert slippery[1] < near.randomization.friction[0]
 
 
-def test_the_policys_configuration_is_left_alone(policy: Config) -> None:
-    before = to_dict(policy)
-    trial_config(policy, "gait", ["robot.kp=20", "observation.noise=false"])
-    assert to_dict(policy) == before
+@pytest.mark.parametrize("variant", load_suite("other-boards").variants)
+def test_other_boards_are_boards_that_training_does_not_vary_to(variant: str) -> None:
+    usual, other = task("approach-unfixed"), task("other-boards", variant)
+    assert other.randomization.board_mass == other.randomization.truck_stiffness == [1.0, 1.0]
+    a, b = to_dict(usual)["board"], to_dict(other)["board"]
+    changed = {key for key in a if a[key] != b[key]}
+    assert changed
+    for key, drawn in (
+        ("mass", usual.randomization.board_mass),
+        ("truck_stiffness", usual.randomization.truck_stiffness),
+    ):
+        if changed == {key}:
+            assert not drawn[0] <= b[key] / a[key] <= drawn[1]
+    MountTask(config=other)
+
+
+def test_a_suite_survives_being_saved_and_old_settings_have_none() -> None:
+    config = compose(None, ["suite=other-boards"])
+    assert from_dict(to_dict(config)) == config
+    assert from_dict(to_dict(config) | {"suite": None}).suite is None
+    assert compose().suite is None
+
+
+def test_an_unknown_suite_is_answered_with_those_there_are() -> None:
+    with pytest.raises(ConfigError, match=r"suite=walk is not a suite; there are: all, approach-fixed, .*, rolling$"):
+        check_suite("walk")
 
 
 @pytest.mark.parametrize(
-    ("suite", "override", "said"),
+    ("settings", "said"),
     [
-        ("walk", "seed=1", "suite=walk is not a suite; there are: approach, balance, "),
-        (None, "+stage=mount", "+stage=mount: a policy brings its own stage; give suite=<name>"),
-        (None, "+experiment=paper", "give the settings themselves"),
-        (None, "start.z=[0,1]", "start.z"),
-        (None, "start.x=[1,0]", "start.x"),
+        ({"stage": "mount"}, "suite.name=''"),
+        ({"name": "a"}, "suite.stage=''"),
+        ({"name": "a", "stage": "mount", "members": ["far"]}, "a suite has one of the two"),
+        ({"name": "a", "members": ["far"], "overrides": ["seed=1"]}, "suite.members="),
+        ({"name": "a", "stage": "mount", "version": 0}, "suite.version=0"),
+        ({"name": "a", "stage": "mount", "seed": -1}, "suite.seed=-1"),
     ],
 )
-def test_mistakes_are_one_line(policy: Config, suite: str, override: str, said: str) -> None:
+def test_a_suite_that_cannot_be_is_one_line(settings: dict, said: str) -> None:
     with pytest.raises(ConfigError) as error:
-        trial_config(policy, suite, [override])
-    assert said in str(error.value)
-    assert "\n" not in str(error.value)
+        SuiteConfig(**settings).validate()
+    assert said in str(error.value) and "\n" not in str(error.value)
 
 
-def test_a_policy_that_does_not_fit_is_refused(policy: Config, tmp_path: Path) -> None:
-    task = MountTask(config=policy)
-    mdp = task.make_mdp(torch.Generator())
-    networks = ActorCritic(policy.network, mdp.observation.size, mdp.privileged.size)
-    path = tmp_path / "p.safetensors"
-    save_policy(path, {MODULE: networks}, make_card(policy, task, 77))
-    asked = compose(None, [f"checkpoint={path}", "suite=mount"])
-
-    trial = Trial.prepare(asked, [f"checkpoint={path}", "suite=mount", "start.x=[0,0]"])
-    described = trial.describe()
-    assert described["overrides"] == ["start.x=[0,0]"]
-    assert (described["stage"], described["suite"], described["frames"]) == ("balance", "mount", 77)
-    with pytest.raises(ConfigError, match="its actions have scale="):
-        Trial.prepare(asked, ["robot.action_scale_hip=0.5"])
+def test_a_suite_of_suites_of_suites_is_refused() -> None:
+    with pytest.raises(ConfigError, match="all is made of other suites itself"):
+        expand(SuiteConfig(name="more", members=["far", "all"]))
+    with pytest.raises(ConfigError, match="suite=near is not a suite"):
+        expand(SuiteConfig(name="more", members=["near"]))

@@ -33,6 +33,7 @@ class Loop:
             mujoco.mj_resetData(self.model, data)
             data.qpos[index.base_qpos] = [*start.base_pos[i], *start.base_quat[i]]
             data.qpos[index.joint_qpos] = start.joint_pos[i]
+            data.qvel[:] = float(start.board_speed[i]) * index.rolling
             data.qvel[index.base_dof] = [*start.base_lin_vel[i], *start.base_ang_vel[i]]
             data.qvel[index.joint_dof] = start.joint_vel[i]
             data.ctrl[index.actuators] = start.joint_pos[i]
@@ -110,6 +111,7 @@ def hold(start: WorldStart) -> Tensor:
 def test_it_computes_bit_for_bit_what_a_loop_of_mj_step_does(make_physics_and_starts, threads: int) -> None:
     # Fixed and free boards, high and low steps, constant forces, in one batch and changing from reset to reset.
     overrides = ["start.board_fixed=0.5", "start.step_height=[0.0,0.088]", "start.force=[-3.0,3.0]"]
+    overrides += ["start.board_speed=[0.0,0.5]"]
     physics, starts = make_physics_and_starts(threads=threads, overrides=overrides)
     loop = Loop(physics)
     generator = torch.Generator().manual_seed(1)
@@ -263,6 +265,35 @@ def test_a_push_adds_to_the_trunks_velocity(make_physics_and_starts) -> None:
     state = physics.state()
     world -= (state.base_rot @ state.base_lin_vel.unsqueeze(-1)).squeeze(-1)
     torch.testing.assert_close(world, only(0, 2).unsqueeze(1) * velocity, atol=1e-5, rtol=0)
+
+
+def test_a_board_starts_rolling_and_rolls_on(make_physics_and_starts) -> None:
+    physics, starts = make_physics_and_starts(
+        "unfixed", overrides=["start.board_speed=[0.3,0.5]", "start.x=[3.0,3.0]", "start.board_fixed=0.5"]
+    )
+    start = starts()
+    start.board_fixed[:] = torch.tensor([False, False, True, False])
+    start.board_speed[:] = torch.tensor([0.4, -0.4, 0.0, 0.0])
+    physics.reset(everywhere(), start)
+    begun = physics.state()
+    torch.testing.assert_close(begun.board_lin_vel[:, 0], start.board_speed)
+    assert begun.board_lin_vel[:, 1:].abs().max() == 0
+    # The wheels roll and do not slip: their rims move as fast as the board.
+    radius = MountTask(stage="unfixed").scene.board.config.wheel_radius
+    torch.testing.assert_close(begun.wheel_speed * radius, start.board_speed.unsqueeze(1).expand(-1, 4))
+    assert begun.base_lin_vel.norm(dim=-1).max() < 0.5  # the robot does not come along
+    seconds = 25 * SUBSTEPS * physics.model.opt.timestep
+    for _ in range(25):
+        physics.step(hold(start), SUBSTEPS)
+    after = physics.state()
+    moved = after.board_pos[:, 0]
+    # Bearings and the weight of the board slow it down a little: 0.11 m/s2 (conf/board/default.yaml).
+    expected = 0.4 * seconds - 0.5 * 0.11 * seconds**2
+    assert moved[:2].tolist() == pytest.approx([expected, -expected], rel=0.1)
+    assert moved[2:].abs().max() < 2e-3
+    torch.testing.assert_close(
+        after.wheel_speed[:2] * radius, after.board_lin_vel[:2, :1].expand(-1, 4), atol=0.01, rtol=0
+    )
 
 
 def test_a_constant_force_acts_on_the_trunk_for_the_whole_episode(make_physics_and_starts) -> None:

@@ -134,6 +134,25 @@ def test_a_share_of_the_boards_is_fixed(share: float) -> None:
     assert float(start.board_fixed.float().mean()) == pytest.approx(share, abs=0.05 * (0 < share < 1))
 
 
+def test_a_distance_is_a_ring_of_starts() -> None:
+    _, start = draw("unfixed", ("start.distance=[1.0,2.0]",))
+    distance = torch.linalg.vector_norm(start.base_pos[:, :2], dim=-1)
+    assert distance.min() >= 1.0 - 1e-6 and distance.max() <= 2.0 + 1e-6
+    assert torch.histc(distance, 4, 1.0, 2.0).min() > 0.8 * STARTS / 4
+    bearing = torch.atan2(start.base_pos[:, 1], start.base_pos[:, 0])
+    assert torch.histc(bearing, 8, -math.pi, math.pi).min() > 0.7 * STARTS / 8
+
+
+def test_a_free_board_rolls_either_way_and_a_fixed_one_does_not() -> None:
+    _, start = draw("unfixed", ("start.board_speed=[0.2,0.5]", "start.board_fixed=0.4"))
+    speed, fixed = start.board_speed, start.board_fixed
+    assert (speed[fixed] == 0).all()
+    assert speed[~fixed].abs().min() >= 0.2 and speed[~fixed].abs().max() <= 0.5
+    assert float((speed[~fixed] > 0).float().mean()) == pytest.approx(0.5, abs=0.06)
+    _, still = draw("unfixed")
+    assert (still.board_speed == 0).all()
+
+
 def test_a_lower_step_raises_the_robots_floor() -> None:
     _, start = draw("mount", ("start.step_height=[0.02,0.05]",))
     step = 0.088 - start.ground_height
@@ -174,6 +193,9 @@ def test_the_same_generator_gives_the_same_starts() -> None:
         ("pitch", [0.0, 0.6]),
         ("board_fixed", 1.5),
         ("edge_margin", -0.01),
+        ("board_speed", [-0.5, 0.5]),
+        ("distance", [-1.0, 1.0]),
+        ("distance", [2.0, 1.0]),
     ],
 )
 def test_a_range_that_cannot_be_drawn_is_named(setting: str, value: object) -> None:

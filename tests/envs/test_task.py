@@ -59,7 +59,12 @@ NEVER = [f"termination.{name}.enabled=false" for name in ("trunk_contact", "tilt
 CASES = {
     "standing on a fixed board": ("balance", [*STILL, "start.board_fixed=1.0"], 0.03, 220),
     "on a free board until after the fall": ("balance", [*STILL, *NEVER, "start.board_fixed=0.0"], 0.05, 220),
-    "falling beside the board": ("mount", ["start.board_fixed=0.5", "start.step_height=[0.03,0.088]"], 0.8, 120),
+    "falling beside a rolling board": (
+        "mount",
+        ["start.board_fixed=0.5", "start.board_speed=[0.1,0.5]", "start.step_height=[0.03,0.088]"],
+        0.8,
+        120,
+    ),
 }
 
 

@@ -128,6 +128,7 @@ class WorldStart:
         joint_vel: ``[N, 12]`` rad/s.
         ground_height: ``[N]`` height of the robot's floor, m.
         board_fixed: ``[N]`` bool.
+        board_speed: ``[N]`` speed of the rolling board along its x axis, m/s; 0 where it is fixed.
         force: ``[N, 3]`` constant force on the trunk for the episode, world, N.
         torque: ``[N, 3]`` constant torque on the trunk, world, N m.
         bin: ``[N]`` int64, the part of a curriculum that the start comes from, -1 for none; no engine looks at it.
@@ -141,6 +142,7 @@ class WorldStart:
     joint_vel: Tensor
     ground_height: Tensor
     board_fixed: Tensor
+    board_speed: Tensor
     force: Tensor
     torque: Tensor
     bin: Tensor

@@ -84,7 +84,7 @@ class CpuPhysics:
         qpos[:, index.base_qpos] = torch.cat((rows.base_pos, rows.base_quat), -1).numpy()
         qpos[:, index.joint_qpos] = rows.joint_pos.numpy()
         self._qpos[ids] = qpos
-        qvel = np.zeros((ids.size, self.model.nv))
+        qvel = rows.board_speed.double().unsqueeze(1).numpy() * index.rolling
         qvel[:, index.base_dof] = torch.cat((rows.base_lin_vel, rows.base_ang_vel), -1).numpy()
         qvel[:, index.joint_dof] = rows.joint_vel.numpy()
         self._qvel[ids] = qvel

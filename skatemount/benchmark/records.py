@@ -1,0 +1,175 @@
+"""What is kept of every evaluated episode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from skatemount.envs import success
+from skatemount.envs.mdp import Outcome
+from skatemount.envs.mount_env import MountEnv
+from skatemount.envs.state import EpisodeState, SimState
+
+SLIP_SPEED = 0.25
+"""Speed of a pressing foot along the deck that counts as a slip, m/s."""
+
+
+@dataclass
+class EpisodeRecords:
+    """N episodes, each with what came of it.
+
+    Attributes:
+        number: ``[N]`` int64, which episode of the evaluation it is.
+        variant: ``[N]`` int64, which variant of the suite.
+        start: ``[N, 3]`` x, y and yaw of the trunk in the board's frame at the start, m and rad.
+        board_fixed: ``[N]`` bool.
+        success: ``[N]`` bool.
+        end: ``[N]`` int64, 0 for the time limit, i for the i-th of `skatemount.envs.mdp.Mdp.end_names`, the first of
+            them that was true.
+        duration: ``[N]`` s.
+        mount_time: ``[N]`` s from the first contact with the deck to standing on it; not a number unless it succeeded
+            and there was something to mount.
+        feet: ``[N]`` mean number of feet on the deck during the last second before the time limit; 0 if the episode
+            ended earlier.
+        displacement: ``[N]`` m in the plane from where the deck's centre was at the start to where it was at the end.
+        slips: ``[N]`` int64, see `sliding`.
+        energy: ``[N]`` J, the sum over the control steps of `power` times the control step.
+    """
+
+    number: Tensor
+    variant: Tensor
+    start: Tensor
+    board_fixed: Tensor
+    success: Tensor
+    end: Tensor
+    duration: Tensor
+    mount_time: Tensor
+    feet: Tensor
+    displacement: Tensor
+    slips: Tensor
+    energy: Tensor
+
+    def __getitem__(self, rows: Tensor | slice) -> EpisodeRecords:
+        """The records of some episodes."""
+        return EpisodeRecords(**{name: value[rows] for name, value in vars(self).items()})
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    @staticmethod
+    def cat(parts: list[EpisodeRecords]) -> EpisodeRecords:
+        """Join records."""
+        return EpisodeRecords(**{name: torch.cat([getattr(p, name) for p in parts]) for name in vars(parts[0])})
+
+
+def sliding(sim: SimState, on_deck: Tensor) -> Tensor:
+    """Which feet slide on the deck, ``[N, 4]`` bool.
+
+    The foot presses on the deck and its centre moves along the deck's plane, relative to the board, faster than
+    0.25 m/s. A *slip* is a control step at which a foot slides and did not slide a step before: one long slide counts
+    once, and so does a foot that lands sliding.
+
+    Args:
+        sim: The state.
+        on_deck: ``[N, 4]`` bool, feet that press on the deck.
+    """
+    return on_deck & (torch.linalg.vector_norm(sim.foot_vel_board[..., :2], dim=-1) > SLIP_SPEED)
+
+
+def power(sim: SimState) -> Tensor:
+    """Mechanical power of the joints, sum of |torque x velocity|, W, ``[N]``: what is braked is not given back."""
+    return (sim.joint_torque * sim.joint_vel).abs().sum(-1)
+
+
+class Recorder:
+    """Watches one episode of every world of an environment.
+
+    It listens to the environment instead of reading what a step returns, as that has no physical state in it. Worlds
+    whose episode has ended go on being stepped and are not looked at any more.
+
+    Args:
+        env: The environment.
+    """
+
+    def __init__(self, env: MountEnv):
+        self._env = env
+        context = env.mdp.context
+        self._step = context.control_step
+        self._last = min(context.episode_steps, max(1, round(success.HOLD / self._step)))
+        self._first_counted = context.episode_steps - self._last
+
+    def begin(self) -> None:
+        """Forget the episodes before; call after the environment's reset."""
+        env, n = self._env, self._env.num_worlds
+        self._board = env.sim.board_pos[:, :2].clone()
+        self._start, self._fixed = env.episode.start.clone(), env.sim.board_fixed.clone()
+        self._sliding = torch.zeros(n, 4, dtype=torch.bool)
+        self._end, self._duration = torch.full((n,), -1), torch.zeros(n)
+        self._success, self._mount_time = torch.zeros(n, dtype=torch.bool), torch.full((n,), torch.nan)
+        self._feet, self._displacement = torch.zeros(n), torch.zeros(n)
+        self._slips, self._energy = torch.zeros(n, dtype=torch.int64), torch.zeros(n)
+        self._steps = 0
+
+    @property
+    def finished(self) -> bool:
+        """Whether every world's episode has ended."""
+        return bool((self._end >= 0).all())
+
+    def has_ended(self, world: int) -> bool:
+        """Whether a world's episode has ended."""
+        return bool(self._end[world] >= 0)
+
+    def add(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
+        """Account for a step; a listener of `MountEnv`.
+
+        Args:
+            episode: The episodes after the step.
+            outcome: What it led to.
+            done: ``[N]`` bool, episodes that ended.
+        """
+        sim = self._env.sim
+        self._steps += 1
+        running = self._end < 0
+        # The last row is that of worlds whose physics failed: what they show means nothing.
+        sound = running & ~outcome.ends[-1]
+        slides = sliding(sim, episode.on_deck)
+        onsets = (slides & ~self._sliding).sum(-1)
+        self._sliding = slides
+        self._slips = torch.where(sound, self._slips + onsets, self._slips)
+        self._energy = torch.where(sound, self._energy + power(sim) * self._step, self._energy)
+        moved = torch.linalg.vector_norm(sim.board_pos[:, :2] - self._board, dim=-1)
+        self._displacement = torch.where(sound, moved, self._displacement)
+        if self._steps > self._first_counted:
+            self._feet = self._feet + episode.on_deck.sum(-1)
+        new = done & running
+        if new.any():
+            early = outcome.ends.to(torch.int8).argmax(0) + 1
+            self._end = torch.where(new, torch.where(outcome.terminated, early, 0), self._end)
+            self._duration = torch.where(new, episode.step * self._step, self._duration)
+            self._success = torch.where(new, outcome.succeeded, self._success)
+            known = new & outcome.succeeded & episode.first_contact.isfinite()
+            self._mount_time = torch.where(known, success.time_to_mount(episode, self._step), self._mount_time)
+
+    def records(self, first: int) -> EpisodeRecords:
+        """The episodes, once all have ended.
+
+        Args:
+            first: Number of the first world's; the others follow in order.
+        """
+        n = len(self._end)
+        return EpisodeRecords(
+            number=torch.arange(first, first + n),
+            variant=torch.zeros(n, dtype=torch.int64),
+            start=self._start,
+            board_fixed=self._fixed,
+            success=self._success,
+            end=self._end,
+            duration=self._duration,
+            mount_time=self._mount_time,
+            feet=torch.where(self._end == 0, self._feet / self._last, 0.0),
+            displacement=self._displacement,
+            slips=self._slips,
+            energy=self._energy,
+        )

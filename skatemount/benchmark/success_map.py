@@ -1,0 +1,154 @@
+"""Where a policy succeeds: a picture of the success rate over the robot's place and heading at the start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skatemount import atomic
+from skatemount.benchmark.results import Evaluation
+from skatemount.benchmark.statistics import wilson_interval
+from skatemount.envs.entities.skateboard_config import SkateboardConfig
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import QuadMesh
+
+FAILURE, BARS, EDGE = "#d62728", "#4c78a8", "#333333"
+_EPISODES_A_CELL = 12
+_SECTORS = 24
+
+
+def plot_success_map(result: Evaluation, boards: Sequence[SkateboardConfig], png_path: Path) -> None:
+    """Draw the success rate over the start.
+
+    On the left over the trunk's place in the board's frame: the rate in square cells of about a dozen episodes each,
+    blank where nothing started, with a dot for each failed episode and the outline of the deck. On the right over the
+    heading, with Wilson's 95 % intervals.
+
+    Args:
+        result: The evaluation.
+        boards: The boards that it was about, for their outlines.
+        png_path: The picture, replaced in one step.
+    """
+    # The object interface: no global figure list, no display, safe beside a user's own plots.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 5.8), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    low, high = result.interval
+    rate = f"{result.success_rate:.1%} of {result.episodes:,} episodes (95 % interval {low:.1%} to {high:.1%})"
+    figure.suptitle(f"{result.title}: {rate}", fontsize=13, parse_math=False)
+    place, heading = figure.subplots(1, 2, width_ratios=(1.15, 1))
+    mesh = _draw_places(place, result, boards)
+    figure.colorbar(mesh, ax=place, label="success rate", fraction=0.046, pad=0.02)
+    _draw_headings(heading, result)
+    with atomic.replacing(png_path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def rates_by_place(xy: np.ndarray, success: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The success rate in square cells that hold about a dozen episodes each.
+
+    Args:
+        xy: ``[N, 2]`` m.
+        success: ``[N]`` bool.
+
+    Returns:
+        The cells' edges along x and y, and ``[cells along x, cells along y]`` rates, not a number in empty cells.
+    """
+    low, span = xy.min(0), np.ptp(xy, axis=0)
+    longest = max(float(span.max()), 1e-3)
+    # As many cells as fit the longer side, as if starts filled the rectangle.
+    cell = np.sqrt(max(float(span[0] * span[1]), 1e-6) * _EPISODES_A_CELL / len(xy))
+    cell = float(np.clip(cell, longest / 40, longest / 4))
+    counts = np.maximum(np.ceil(span / cell - 1e-9), 1).astype(int)
+    # Cells reach a little further than the starts, alike on both sides.
+    first = low - (counts * cell - span) / 2
+    edges = [first[i] + cell * np.arange(counts[i] + 1) for i in range(2)]
+    index = tuple(np.clip(((xy[:, i] - first[i]) / cell).astype(int), 0, counts[i] - 1) for i in range(2))
+    episodes, successes = np.zeros(counts), np.zeros(counts)
+    np.add.at(episodes, index, 1)
+    np.add.at(successes, index, success)
+    with np.errstate(invalid="ignore"):
+        return edges[0], edges[1], successes / episodes
+
+
+def _draw_places(axis: Axes, result: Evaluation, boards: Sequence[SkateboardConfig]) -> QuadMesh:
+    records = result.records
+    xy, success = records.start[:, :2].double().numpy(), records.success.numpy()
+    x, y, rates = rates_by_place(xy, success)
+    mesh = axis.pcolormesh(x, y, np.ma.masked_invalid(rates.T), cmap="viridis", vmin=0, vmax=1, alpha=0.85)
+    failed = xy[~success]
+    # Many failures would hide the cells behind them.
+    size = float(np.clip(4000 / max(len(failed), 1), 2, 22))
+    label = f"{len(failed):,} failed"
+    axis.scatter(
+        *failed.T, s=size, c=FAILURE, edgecolors="white", linewidths=0.3 if size > 6 else 0, label=label, zorder=3
+    )
+    corners = [np.array([b.deck_length / 2 + b.kick_length, b.deck_width / 2]) for b in boards]
+    for board in boards:
+        _draw_board(axis, board)
+    lower, upper = np.array([x[0], y[0]]), np.array([x[-1], y[-1]])
+    if (np.abs([lower, upper]) > np.max(corners, axis=0)).any():
+        lower, upper = np.minimum(lower, -np.max(corners, axis=0)), np.maximum(upper, np.max(corners, axis=0))
+        axis.set_title("by the trunk's place at the start", fontsize=10)
+    else:
+        axis.set_title("by the trunk's place at the start, all of it above the deck", fontsize=10)
+    margin = 0.04 * (upper - lower).max()
+    axis.set_xlim(lower[0] - margin, upper[0] + margin)
+    axis.set_ylim(lower[1] - margin, upper[1] + margin)
+    axis.set_aspect("equal")
+    axis.set_xlabel("along the board, m", fontsize=9)
+    axis.set_ylabel("to its left, m", fontsize=9)
+    axis.tick_params(labelsize=8)
+    axis.grid(alpha=0.2)
+    if len(failed):
+        axis.legend(loc="upper right", fontsize=8, framealpha=0.8)
+    return mesh
+
+
+def _draw_board(axis: Axes, board: SkateboardConfig) -> None:
+    from matplotlib.patches import Ellipse, Rectangle
+
+    half = board.deck_length / 2, board.deck_width / 2
+    # The flat part, which is to be stood on, and the rounded kicks at its ends.
+    size = 2 * half[0], 2 * half[1]
+    axis.add_patch(Rectangle((-half[0], -half[1]), *size, fill=False, ec=EDGE, lw=1.3, zorder=2))
+    for end in (-half[0], half[0]):
+        kick = Ellipse((end, 0), 2 * board.kick_length, size[1], fill=False, ec=EDGE, lw=0.8, ls=":", zorder=2)
+        axis.add_patch(kick)
+
+
+def _draw_headings(axis: Axes, result: Evaluation) -> None:
+    records = result.records
+    degrees, success = np.degrees(records.start[:, 2].double().numpy()), records.success.numpy()
+    span = np.ptp(degrees)
+    if span > 180:
+        edges = np.linspace(-180, 180, _SECTORS + 1)
+    else:
+        edges = np.linspace(degrees.min() - 1e-6, degrees.max() + 1e-6, _SECTORS // 2 + 1)
+    index = np.clip(np.digitize(degrees, edges) - 1, 0, len(edges) - 2)
+    episodes = np.bincount(index, minlength=len(edges) - 1)
+    successes = np.bincount(index, weights=success, minlength=len(edges) - 1)
+    some = episodes > 0
+    centres, widths = ((edges[:-1] + edges[1:]) / 2)[some], np.diff(edges)[some]
+    rates = successes[some] / episodes[some]
+    bounds = np.array([wilson_interval(int(s), int(n)) for s, n in zip(successes[some], episodes[some])])
+    axis.bar(centres, rates, width=0.9 * widths, color=BARS, alpha=0.85)
+    whiskers = np.abs(bounds.T - rates)
+    axis.errorbar(centres, rates, yerr=whiskers, fmt="none", ecolor=EDGE, elinewidth=1, capsize=2)
+    axis.axhline(result.success_rate, color=EDGE, lw=0.8, ls=":")
+    axis.set_xlim(edges[0], edges[-1])
+    if span > 180:
+        axis.set_xticks(range(-180, 181, 45))
+    axis.set_ylim(0, 1.02)
+    axis.set_title("by the heading at the start, with 95 % intervals", fontsize=10)
+    axis.set_xlabel("degrees to the left of the board's x axis", fontsize=9)
+    axis.set_ylabel("success rate", fontsize=9)
+    axis.tick_params(labelsize=8)
+    axis.grid(axis="y", alpha=0.25)
