@@ -6,9 +6,9 @@
 * paper: the paper's chain of stages, from gait to unfixed, all within the same number of steps;
 * forward: starts anywhere within a metre from nothing, no curriculum, the baseline that the paper reports as failing.
 
-Networks and algorithm are the same for all: those of the automatic curriculum's settings. Checkpoints kept on the way are
-evaluated afterwards on the same tasks from the same seeds, beside a fixed board and beside a free one. A last row says
-how the policy of the chain's stage approach, which knows fixed boards alone, does on a free one without training.
+Networks and algorithm are the same for all: those of the automatic curriculum's settings. Checkpoints kept on the way
+are evaluated afterwards on the same suites from the same seeds, beside a fixed board and beside a free one. A last row
+says how the policy of the chain's stage approach, which knows fixed boards alone, does on a free one without training.
 
 Trainings run one after the other. Whatever is finished is not done again: start it anew to go on. Settings after the
 options are for every training, such as `physics.num_worlds=128`.
@@ -32,8 +32,7 @@ from omegaconf import OmegaConf
 from skatemount import atomic
 from skatemount import config as configuration
 from skatemount.agent import Agent
-from skatemount.benchmark.evaluation import evaluate_policy
-from skatemount.benchmark.suites import trial_config
+from skatemount.benchmark.trial import Trial, load_suite
 from skatemount.checkpoint import list_checkpoints, read_card
 from skatemount.plots import COLOURS
 from skatemount.runs import RunFolder
@@ -44,15 +43,13 @@ METHODS = {
     "paper": ["+curriculum=paper", "logger.evaluate_every=10"],
     "forward": ["+stage=forward", "init_from=null", "logger.evaluate_every=0"],
 }
-SUITES = {"approach-fixed": "approach", "approach-unfixed": "unfixed"}
-"""What is tested, and the stage whose task that is."""
-
+SUITES = ("approach-fixed", "approach-unfixed")
 TRANSFER = "paper, end of approach"
 
 
 def count_successes(agent: Agent, suite: str, episodes: int) -> int:
     """How many of the suite's episodes a policy succeeds in; every policy meets the same ones."""
-    return evaluate_policy(agent.networks, trial_config(agent.config, SUITES[suite]), episodes).successes
+    return Trial.of(agent, load_suite(suite)).evaluate(episodes).successes
 
 
 @dataclass
@@ -110,7 +107,9 @@ class Comparison:
             name = [f"logger.name={method}_seed{seed}", "logger.experiment=compare", root]
             arguments = [*METHODS[method], *self._overrides, f"seed={seed}", f"total_frames={self.frames}", *name]
             arguments += self._logger(method)
-        subprocess.run([sys.executable, "-m", "skatemount.train", *arguments], check=True)
+        ended = subprocess.run([sys.executable, "-m", "skatemount.train", *arguments])
+        if ended.returncode:
+            sys.exit(f"{method}, seed {seed} ended with status {ended.returncode}: start again to go on")
 
     def _logger(self, method: str) -> list[str]:
         config = configuration.compose("forward", self._overrides)
@@ -239,7 +238,9 @@ def main() -> None:
     rows = {name: {s: [seed[-1]["success"][s] for seed in seeds] for s in SUITES} for name, seeds in curves.items()}
     if transfer:
         rows[TRANSFER] = {s: [rates[s] for rates in transfer] for s in SUITES}
-    text = table(rows)
+    seeds = f"{len(options.seeds)} seeds" if len(options.seeds) > 1 else "1 seed"
+    what = f"mean of {seeds} (lowest to highest), {options.episodes} episodes each"
+    text = f"Success after {options.frames:,} steps: {what}.\n\n{table(rows)}"
     print(text)
     document = {
         "frames": options.frames,
