@@ -110,6 +110,8 @@ class Config(TaskConfig):
     init_from: str | None = "stage"
     resume: str | None = None
     checkpoint: str = "latest"
+    pipeline: str | None = None
+    handover: float = 0.6
     suite: SuiteConfig | None = None
     episodes: int = 1000
     episode: int = 0
@@ -152,6 +154,8 @@ class Config(TaskConfig):
         for name, most in (("seed", 2**62), ("episode", 2**40), ("torch_threads", 1024)):
             if not 0 <= getattr(self, name) <= most:
                 raise ConfigError(f"{name}={getattr(self, name)} must be 0 or more, and at most {most}")
+        if not self.handover > 0:
+            raise ConfigError(f"handover={self.handover} must be above 0, in metres")
         if self.collector.steps < 1:
             raise ConfigError(f"collector.steps={self.collector.steps} must be at least 1")
         for name in ("checkpoint_every", "keep_checkpoints", "evaluate_episodes"):
