@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -18,7 +18,6 @@ from skatemount.benchmark.records import EpisodeRecords
 from skatemount.benchmark.results import Evaluation
 from skatemount.benchmark.suites import SuiteConfig
 from skatemount.config import Config
-from skatemount.envs.task import MountTask
 from skatemount.errors import ConfigError
 
 NOT_THE_TASKS = ("checkpoint", "suite", "episodes", "episode", "json", "output", "seed", "torch_threads")
@@ -60,7 +59,7 @@ class Trial:
             One trial for each suite.
 
         Raises:
-            ConfigError: No such policy or suite, or the policy does not fit the task.
+            ConfigError: No such policy, suite or setting.
         """
         agent = Agent.load(config.checkpoint, config.logger.root)
         asked = [o for o in overrides if _key(o).split(".")[0] not in NOT_THE_TASKS]
@@ -86,14 +85,12 @@ class Trial:
             checkpoint: What the policy was asked for by.
 
         Raises:
-            ConfigError: No such setting, or the policy does not fit the task.
+            ConfigError: No such setting.
         """
         variants = suite.variants if suite is not None and suite.variants else {"": []}
         configs = {
             name: trial_config(agent.config, suite, overrides, variant=changes) for name, changes in variants.items()
         }
-        for each in configs.values():
-            check_contract(agent.card, MountTask(config=each), f"checkpoint={checkpoint}")
         name = suite.name if suite is not None else agent.card.stage or "its own task"
         # "latest" may be another policy tomorrow.
         again = checkpoint if checkpoint.startswith("pretrained:") else str(agent.path)
@@ -116,12 +113,28 @@ class Trial:
         index, turn = episode % len(self.configs), episode // len(self.configs)
         return list(self.configs)[index], turn
 
+    def numbered(self, variant: str, records: EpisodeRecords) -> EpisodeRecords:
+        """Episodes of a variant with their numbers in the trial; the reverse of `variant_of`."""
+        index = list(self.configs).index(variant)
+        number = records.number * len(self.configs) + index
+        return replace(records, number=number, variant=torch.full_like(number, index))
+
     def evaluator(self, variant: str) -> Evaluator:
-        """What plays the episodes of a variant; to be closed."""
+        """What plays the episodes of a variant; to be closed.
+
+        Raises:
+            ConfigError: The policy does not fit the task.
+        """
         config = self.configs[variant]
         suite_seed = 0 if self.suite is None else self.suite.seed
         seed = mix_seeds(EVALUATION_SEED + self.seed, suite_seed, list(self.configs).index(variant))
-        return Evaluator(config, config.physics.num_worlds, seed)
+        evaluator = Evaluator(config, config.physics.num_worlds, seed)
+        try:
+            check_contract(self.agent.card, evaluator.env.task, f"checkpoint={self.checkpoint}")
+        except ConfigError:
+            evaluator.close()
+            raise
+        return evaluator
 
     def evaluate(self, episodes: int, progress: Callable[[float, str], None] | None = None) -> Evaluation:
         """Put the policy to the test.
@@ -132,6 +145,9 @@ class Trial:
 
         Returns:
             The results, with everything that repeating them takes.
+
+        Raises:
+            ConfigError: Fewer than 1 episode, or the policy does not fit the task.
         """
         variants = list(self.configs)
         parts: list[Evaluation] = []
@@ -148,8 +164,7 @@ class Trial:
                 part = evaluator.run(self.agent.networks, count, report)
             finally:
                 evaluator.close()
-            part.records.number = part.records.number * len(variants) + i
-            part.records.variant = torch.full_like(part.records.number, i)
+            part.records = self.numbered(name, part.records)
             parts.append(part)
         records = EpisodeRecords.cat([part.records for part in parts])
         return Evaluation(

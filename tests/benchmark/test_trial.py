@@ -141,8 +141,9 @@ def test_a_trial_knows_what_is_tried(path: Path) -> None:
 
 
 def test_a_policy_that_does_not_fit_is_refused(path: Path) -> None:
-    with pytest.raises(ConfigError, match="its actions have scale="):
-        prepare(path, "suite=mount-fixed", "robot.action_scale_hip=0.5")
+    (trial,) = prepare(path, "suite=mount-fixed", "robot.action_scale_hip=0.5")
+    with pytest.raises(ConfigError, match=f"checkpoint={path}: its actions have scale="):
+        trial.evaluate(1)
 
 
 def test_the_command_that_films_an_episode(path: Path) -> None:
