@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -264,7 +265,7 @@ def trial_config(
     changes = [*(o for o in changes if _key(o) not in theirs), *overrides]
     asked = configuration.to_dict(configuration.compose(stage if known else None, changes))
 
-    result = copy.deepcopy(policy) if suite is None else configuration.compose(stage)
+    result = copy.deepcopy(policy if suite is None else _stage(stage))
     result.robot, result.observation, result.network = policy.robot, policy.observation, policy.network
     result.physics.timestep, result.physics.substeps = policy.physics.timestep, policy.physics.substeps
     if policy.command.mode == "zero" and result.success == "mount":
@@ -275,6 +276,12 @@ def trial_config(
     for override in changes:
         _copy(_key(override).replace("/", ".").split("."), asked, values)
     return configuration.from_dict(values)
+
+
+@functools.lru_cache
+def _stage(name: str) -> Config:
+    """A stage's settings; composing them takes a while, and many suites share a stage."""
+    return configuration.compose(name)
 
 
 def _key(override: str) -> str:
