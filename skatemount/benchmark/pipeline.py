@@ -55,19 +55,21 @@ class Relay:
         return act
 
 
+Policy = ActorCritic | Relay
+"""What can be evaluated."""
+
+
 @dataclass
 class PipelineAgent(Agent):
     """Two policies that are tried as one; configuration, card and path are the mounting policy's.
 
     Attributes:
-        relay: The policies.
-        walker: The walking policy, with its card.
-        spec: As it was asked for, ``FIRST+SECOND``.
+        walker: The walking policy.
+        handover: See `Relay`.
     """
 
-    relay: Relay
     walker: Agent
-    spec: str
+    handover: float
 
     @property
     def name(self) -> str:
@@ -75,21 +77,21 @@ class PipelineAgent(Agent):
         return f"{self.walker.name}+{super().name}"
 
     @property
-    def policy(self) -> Relay:
+    def policy(self) -> Relay:  # type: ignore[override]
         """What acts."""
-        return self.relay
+        return Relay(self.walker.networks, self.networks, self.handover)
 
     @property
     def settings(self) -> list[str]:
-        """How to ask for the same again on a command line."""
-        return [f"pipeline={self.spec}", f"handover={self.relay.handover}"]
+        """How to ask for it on a command line."""
+        return [f"pipeline={self.walker.spec}+{self.spec}", f"handover={self.handover}"]
 
     @classmethod
     def load_pair(cls, spec: str, handover: float, root: Path | str = "runs") -> PipelineAgent:
         """Load two policies.
 
         Args:
-            spec: ``FIRST+SECOND``, each the name of a shipped policy or anything that ``checkpoint`` may be.
+            spec: ``WALK+MOUNT``, each the name of a shipped policy or anything that ``checkpoint`` may be.
             handover: See `Relay`.
             root: Folder of all runs.
 
@@ -98,18 +100,14 @@ class PipelineAgent(Agent):
         """
         names = spec.split("+")
         if len(names) != 2 or not all(names):
-            raise ConfigError(f"pipeline={spec} must be two policies, FIRST+SECOND, such as gait+mount")
-        walker, mounter = (Agent.load(_shipped(name), root, "pipeline") for name in names)
+            raise ConfigError(f"pipeline={spec} must be two policies, WALK+MOUNT, such as gait+mount")
+        walker, mounter = (
+            Agent.load(f"{PRETRAINED}{name}" if is_shipped(name) else name, root, "pipeline") for name in names
+        )
         for what in ("observation", "action"):
             if getattr(walker.card, what) != getattr(mounter.card, what):
                 raise ConfigError(
-                    f"pipeline={spec}: {names[0]} and {names[1]} have different {what}s on their cards; "
-                    "policies that take turns must be trained with the same"
+                    f"pipeline={spec}: the cards of {names[0]} and {names[1]} differ in {what}; policies that take "
+                    "turns must be trained with the same"
                 )
-        relay = Relay(walker.networks, mounter.networks, handover)
-        again = "+".join(str(agent.path) if _shipped(n) == n else n for n, agent in zip(names, (walker, mounter)))
-        return cls(mounter.networks, mounter.config, mounter.card, mounter.path, relay, walker, again)
-
-
-def _shipped(name: str) -> str:
-    return f"{PRETRAINED}{name}" if is_shipped(name) else name
+        return cls(**vars(mounter), walker=walker, handover=handover)
