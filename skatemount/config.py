@@ -164,7 +164,8 @@ class Config(TaskConfig):
             raise ConfigError(f"collector.steps={self.collector.steps} must be at least 1")
         if self.collector.enough is not None and not self.collector.enough >= success.HOLD:
             raise ConfigError(
-                f"collector.enough={self.collector.enough} must be at least the {success.HOLD:g} s of a success, or null"
+                f"collector.enough={self.collector.enough} must be null or at least {success.HOLD:g}, the seconds of "
+                "standing that a success takes"
             )
         for name in ("checkpoint_every", "keep_checkpoints", "evaluate_episodes"):
             if getattr(self.logger, name) < 1:
