@@ -18,7 +18,7 @@ from skatemount.envs.task import MountTask
 from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic
 from skatemount.provenance import package_versions
-from skatemount.runs import find_checkpoint
+from skatemount.runs import POLICIES, PRETRAINED, find_checkpoint
 
 MODULE = "networks"
 """Name of the `ActorCritic` among the modules of a policy file: ``save_policy(path, {MODULE: ...})``."""
@@ -68,6 +68,21 @@ class Agent:
         networks = ActorCritic(config.network, sizes["observation"], sizes["privileged"])
         load_weights(networks, modules, f"{setting}={spec}")
         return cls(networks, config, card, path)
+
+    @property
+    def policy(self) -> ActorCritic:
+        """What acts."""
+        return self.networks
+
+    @property
+    def spec(self) -> str:
+        """What loads the same policy again; "latest" may be another one tomorrow."""
+        return f"{PRETRAINED}{self.path.stem}" if self.path.parent == POLICIES else str(self.path)
+
+    @property
+    def settings(self) -> list[str]:
+        """How to ask for it on a command line."""
+        return [f"checkpoint={self.spec}"]
 
     @property
     def name(self) -> str:

@@ -18,6 +18,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 import skatemount
 from skatemount.benchmark.suites import SuiteConfig
 from skatemount.curriculum.base import CurriculumConfig
+from skatemount.envs import success
 from skatemount.envs.settings import TaskConfig
 from skatemount.errors import ConfigError
 from skatemount.losses.ppo import AlgorithmConfig
@@ -54,10 +55,13 @@ class CollectorConfig:
     Attributes:
         steps: Control steps a world between two updates.
         random_phase: Let the first episodes start at random phases, so that they do not all end at once.
+        enough: End an episode, as at its time limit, once the robot has stood on the board for so many seconds; null
+            to let it stand. Evaluations always do.
     """
 
     steps: int = 24
     random_phase: bool = True
+    enough: float | None = None
 
 
 @dataclass
@@ -110,6 +114,8 @@ class Config(TaskConfig):
     init_from: str | None = "stage"
     resume: str | None = None
     checkpoint: str = "latest"
+    pipeline: str | None = None
+    handover: float = 0.6
     suite: SuiteConfig | None = None
     episodes: int = 1000
     episode: int = 0
@@ -152,8 +158,15 @@ class Config(TaskConfig):
         for name, most in (("seed", 2**62), ("episode", 2**40), ("torch_threads", 1024)):
             if not 0 <= getattr(self, name) <= most:
                 raise ConfigError(f"{name}={getattr(self, name)} must be 0 or more, and at most {most}")
+        if not self.handover > 0:
+            raise ConfigError(f"handover={self.handover} must be above 0, in metres")
         if self.collector.steps < 1:
             raise ConfigError(f"collector.steps={self.collector.steps} must be at least 1")
+        if self.collector.enough is not None and not self.collector.enough >= success.HOLD:
+            raise ConfigError(
+                f"collector.enough={self.collector.enough} must be null or at least {success.HOLD:g}, the seconds of "
+                "standing that a success takes"
+            )
         for name in ("checkpoint_every", "keep_checkpoints", "evaluate_episodes"):
             if getattr(self.logger, name) < 1:
                 raise ConfigError(f"logger.{name}={getattr(self.logger, name)} must be at least 1")

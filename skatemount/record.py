@@ -40,11 +40,9 @@ def record(config: Config, overrides: list[str]) -> None:
     from skatemount.benchmark.trial import Trial
     from skatemount.errors import ConfigError
 
-    trials = Trial.prepare(config, overrides)
-    if len(trials) > 1:
-        names = ", ".join(trial.name for trial in trials)
-        raise ConfigError(f"suite={config.suite.name if config.suite else None}: name one to film, of {names}")
-    trial = trials[0]
+    if config.suite is not None and config.suite.members:
+        raise ConfigError(f"suite={config.suite.name}: name one to film, of {', '.join(config.suite.members)}")
+    (trial,) = Trial.prepare(config, overrides)
     episode = play(trial, config.episode)
     moments = episode.moments
     folder = Path(config.output) if config.output else default_folder(trial.agent.path)

@@ -367,6 +367,11 @@ def _follow(pointer: Path) -> Path | None:
     return folder if target and folder.is_dir() else None
 
 
+def is_shipped(name: str) -> bool:
+    """Whether the package ships a policy of that name."""
+    return f"{PRETRAINED}{name}" in _pretrained()
+
+
 def _pretrained() -> list[str]:
     return [f"{PRETRAINED}{file.stem}" for file in sorted(POLICIES.glob("*.safetensors"))]
 

@@ -95,7 +95,8 @@ class Trainer:
         set_torch_threads(config)
         torch.manual_seed(config.seed)
         self.task = MountTask(config=config)
-        self.env = MountEnv(self.task, seed=config.seed, random_phase=config.collector.random_phase)
+        collector = config.collector
+        self.env = MountEnv(self.task, seed=config.seed, random_phase=collector.random_phase, enough=collector.enough)
         mdp = self.env.mdp
         self.networks = ActorCritic(config.network, mdp.observation.size, mdp.privileged.size)
         symmetry = Symmetry.of(mdp) if config.algorithm.symmetry != "none" else None

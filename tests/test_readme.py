@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from skatemount.config import stages
+from skatemount.config import stages, suites
 
 
 def blocks(path: Path) -> list[str]:
@@ -29,3 +29,8 @@ def test_stage_table_is_complete(repo_root: Path) -> None:
     for page in ("README.md", "docs/stages.md"):
         named = set(re.findall(r"^\| `(\w+)` \|", (repo_root / page).read_text(), re.MULTILINE))
         assert named == set(stages()), page
+
+
+def test_suite_table_is_complete(repo_root: Path) -> None:
+    text = (repo_root / "docs/mountbench.md").read_text()
+    assert set(re.findall(r"^\| `([\w-]+)` \|", text, re.MULTILINE)) == set(suites())

@@ -1,6 +1,6 @@
 """Put a trained policy into the package, with what was measured of it on its card.
 
-    python tools/ship_policy.py runs/skatemount/2026-..._balance balance --suites balance --episodes 2000 \
+    python tools/ship_policy.py runs/skatemount/2026-..._balance balance --suites balance-fixed --episodes 2000 \
         --command "make train"
 
 writes `skatemount/policies/balance.safetensors` and `balance.json`. The critic stays with the policy, so that other
@@ -14,9 +14,13 @@ from pathlib import Path
 
 import skatemount
 from skatemount.agent import MODULE, Agent
-from skatemount.benchmark.evaluation import EVALUATION_SEED, evaluate_policy
-from skatemount.benchmark.suites import trial_config
+from skatemount.benchmark import report
+from skatemount.benchmark.results import Evaluation
+from skatemount.benchmark.trial import Trial, expand, load_suite
 from skatemount.checkpoint import save_policy
+
+LOCAL = ("checkpoint", "stage", "frames", "sha256", "record")
+"""What an evaluation notes of its policy: the card says it itself, or it concerns one machine alone."""
 
 
 def main() -> None:
@@ -24,25 +28,34 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("checkpoint", help="a run, a checkpoint, a file")
     parser.add_argument("name", help="of the shipped policy: pretrained:NAME")
-    parser.add_argument("--suites", nargs="+", required=True, help="stages to evaluate in")
-    parser.add_argument("--episodes", type=int, default=2000)
+    parser.add_argument("--suites", nargs="+", required=True, help="suites to evaluate in; all for every one")
+    parser.add_argument("--episodes", type=int, default=2000, help="in each suite")
     parser.add_argument("--command", required=True, help="the command that trained it")
-    parser.add_argument("--notes", default="", help="failure modes, anything a user should know")
+    parser.add_argument("--notes", default="", help="anything else that a user should know")
     options = parser.parse_args()
     agent = Agent.load(options.checkpoint)
+    results: dict[str, Evaluation] = {}
+    for suite in (each for name in options.suites for each in expand(load_suite(name))):
+        result = Trial.of(agent, suite).evaluate(options.episodes)
+        result.evaluated = {key: value for key, value in result.evaluated.items() if key not in LOCAL}
+        print(suite.name, result.table(), sep="\n", flush=True)
+        results[suite.name] = result
     card = agent.card
-    card.suites = {}
-    for suite in options.suites:
-        config = trial_config(agent.config, suite, [])
-        result = evaluate_policy(agent.networks, config, options.episodes, seed=EVALUATION_SEED)
-        print(suite, result.table(), sep="\n")
-        card.suites[suite] = result.to_dict()
+    card.suites = {name: result.to_dict(failed_episodes=False) for name, result in results.items()}
     # Where runs lay on the machine that trained it concerns nobody else.
     card.config["logger"]["root"] = "runs"
-    card.notes = f"Trained by: {options.command}. {options.notes}".strip()
+    card.notes = " ".join(filter(None, (f"Trained by: {options.command}.", options.notes, failure_modes(results))))
     folder = Path(skatemount.__file__).parent / "policies"
     folder.mkdir(exist_ok=True)
     save_policy(folder / f"{options.name}.safetensors", {MODULE: agent.networks}, card)
+
+
+def failure_modes(results: dict[str, Evaluation]) -> str:
+    """What ended the failed episodes, in a sentence a suite."""
+    return " ".join(
+        f"Failures in {name}, of {result.episodes} episodes: {report.failures(result)}."
+        for name, result in results.items()
+    )
 
 
 if __name__ == "__main__":

@@ -12,13 +12,13 @@ import numpy as np
 import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from skatemount.benchmark.pipeline import Policy, Relay
 from skatemount.benchmark.records import EpisodeRecords, Recorder
 from skatemount.benchmark.results import Evaluation
 from skatemount.config import Config
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.task import MountTask
 from skatemount.errors import ConfigError
-from skatemount.models import ActorCritic
 
 EVALUATION_SEED = 1_000_003
 """Added to ``seed`` in evaluations and films, so that they never repeat a training's start states."""
@@ -70,14 +70,14 @@ class Evaluator:
 
     def run(
         self,
-        networks: ActorCritic,
+        policy: Policy,
         episodes: int,
         progress: Callable[[int, int], None] | None = None,
     ) -> Evaluation:
         """Evaluate a policy with deterministic actions.
 
         Args:
-            networks: The policy; its weights stay as they are.
+            policy: One policy, or two that take turns; the weights stay as they are.
             episodes: How many to count; of the last round the first worlds are.
             progress: Called with the control steps done and to do.
 
@@ -98,16 +98,16 @@ class Evaluator:
 
         parts = []
         for number in range(rounds):
-            parts.append(self.round(networks, number, functools.partial(report, number)))
+            parts.append(self.round(policy, number, functools.partial(report, number)))
             # A round of early ends is over sooner.
             report(number + 1, 0)
         return Evaluation(records=EpisodeRecords.cat(parts)[:episodes], ends=self.ends, evaluated=self.describe())
 
-    def round(self, networks: ActorCritic, number: int, watch: Callable[[int], None] | None = None) -> EpisodeRecords:
+    def round(self, policy: Policy, number: int, watch: Callable[[int], None] | None = None) -> EpisodeRecords:
         """One episode of every world, the same whenever it is run.
 
         Args:
-            networks: The policy.
+            policy: One policy, or two that take turns.
             number: Which round, from 0.
             watch: Called at the start and after every control step, with the number of steps done.
 
@@ -119,10 +119,11 @@ class Evaluator:
         with deterministic():
             env.set_seed(mix_seeds(self.seed, number))
             seen = env.reset()
+            actor = policy.actor_in(env) if isinstance(policy, Relay) else policy.actor
             recorder.begin()
             watch(0)
             for step in range(1, env.mdp.context.episode_steps + 1):
-                seen = env.step(networks.actor(seen))["next"]
+                seen = env.step(actor(seen))["next"]
                 watch(step)
                 if recorder.finished:
                     break

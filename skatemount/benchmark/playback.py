@@ -86,13 +86,13 @@ def play(trial: Trial, number: int) -> Episode:
         ended = evaluator.has_ended(world)
 
     try:
-        record = evaluator.round(trial.agent.networks, rounds, watch)[world : world + 1]
+        records = evaluator.round(trial.agent.policy, rounds, watch)
+        record = trial.numbered(variant, records[world : world + 1])
         model, _ = env.physics.world(world)
         feet = [model.geom(geom.full_identifier).id for geom in env.task.scene.robot.foot_geoms]
         verdict = _verdict(evaluator, record, moments[-1])
     finally:
         evaluator.close()
-    record.number[:] = number
     return Episode(moments, model, np.concatenate(subjects), feet, control_step, record, verdict)
 
 

@@ -32,9 +32,11 @@ class Evaluation:
 
     @property
     def title(self) -> str:
-        """The policy and the suite, as far as they are known."""
+        """The policy, the suite and its version, as far as they are known."""
         what = [str(self.evaluated[key]) for key in ("checkpoint", "suite") if key in self.evaluated]
-        return " on ".join(what) or "evaluation"
+        definition = self.evaluated.get("definition")
+        version = f", version {definition['version']}" if definition else ""
+        return (" on ".join(what) or "evaluation") + version
 
     @property
     def episodes(self) -> int:

@@ -43,7 +43,8 @@ def plot_success_map(result: Evaluation, boards: Sequence[SkateboardConfig], png
     low, high = result.interval
     rate = f"{result.success_rate:.1%} of {result.episodes:,} episodes (95 % interval {low:.1%} to {high:.1%})"
     figure.suptitle(f"{result.title}: {rate}", fontsize=13, parse_math=False)
-    place, heading = figure.subplots(1, 2, width_ratios=(1.15, 1))
+    width, height = np.ptp(_limits(result, boards), axis=0)
+    place, heading = figure.subplots(1, 2, width_ratios=(1.15 * float(np.clip(width / height, 0.45, 1)), 1))
     mesh = _draw_places(place, result, boards)
     figure.colorbar(mesh, ax=place, label="success rate", fraction=0.046, pad=0.02)
     _draw_headings(heading, result)
@@ -52,7 +53,7 @@ def plot_success_map(result: Evaluation, boards: Sequence[SkateboardConfig], png
 
 
 def rates_by_place(xy: np.ndarray, success: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The success rate in square cells that hold about a dozen episodes each.
+    """The success rate in nearly square cells of about a dozen episodes each, if starts fill the rectangle.
 
     Args:
         xy: ``[N, 2]`` m.
@@ -61,16 +62,12 @@ def rates_by_place(xy: np.ndarray, success: np.ndarray) -> tuple[np.ndarray, np.
     Returns:
         The cells' edges along x and y, and ``[cells along x, cells along y]`` rates, not a number in empty cells.
     """
-    low, span = xy.min(0), np.ptp(xy, axis=0)
-    longest = max(float(span.max()), 1e-3)
-    # As many cells as fit the longer side, as if starts filled the rectangle.
-    cell = np.sqrt(max(float(span[0] * span[1]), 1e-6) * _EPISODES_A_CELL / len(xy))
-    cell = float(np.clip(cell, longest / 40, longest / 4))
-    counts = np.maximum(np.ceil(span / cell - 1e-9), 1).astype(int)
-    # Cells reach a little further than the starts, alike on both sides.
-    first = low - (counts * cell - span) / 2
-    edges = [first[i] + cell * np.arange(counts[i] + 1) for i in range(2)]
-    index = tuple(np.clip(((xy[:, i] - first[i]) / cell).astype(int), 0, counts[i] - 1) for i in range(2))
+    low, high = xy.min(0) - 1e-6, xy.max(0) + 1e-6
+    span = high - low
+    cell = np.sqrt(span.prod() * _EPISODES_A_CELL / len(xy))
+    counts = np.clip(np.round(span / np.clip(cell, span.max() / 40, span.max() / 4)), 1, None).astype(int)
+    edges = [np.linspace(low[i], high[i], counts[i] + 1) for i in range(2)]
+    index = tuple(np.clip(np.digitize(xy[:, i], edges[i]) - 1, 0, counts[i] - 1) for i in range(2))
     episodes, successes = np.zeros(counts), np.zeros(counts)
     np.add.at(episodes, index, 1)
     np.add.at(successes, index, success)
@@ -86,42 +83,44 @@ def _draw_places(axis: Axes, result: Evaluation, boards: Sequence[SkateboardConf
     failed = xy[~success]
     # Many failures would hide the cells behind them.
     size = float(np.clip(4000 / max(len(failed), 1), 2, 22))
-    label = f"{len(failed):,} failed"
-    axis.scatter(
-        *failed.T, s=size, c=FAILURE, edgecolors="white", linewidths=0.3 if size > 6 else 0, label=label, zorder=3
-    )
-    corners = [np.array([b.deck_length / 2 + b.kick_length, b.deck_width / 2]) for b in boards]
+    rim = 0.3 if size > 6 else 0.0
+    x_failed, y_failed = failed[:, 0], failed[:, 1]
+    axis.scatter(x_failed, y_failed, s=size, c=FAILURE, edgecolors="white", linewidths=rim, zorder=3)
     for board in boards:
         _draw_board(axis, board)
-    lower, upper = np.array([x[0], y[0]]), np.array([x[-1], y[-1]])
-    if (np.abs([lower, upper]) > np.max(corners, axis=0)).any():
-        lower, upper = np.minimum(lower, -np.max(corners, axis=0)), np.maximum(upper, np.max(corners, axis=0))
-        axis.set_title("by the trunk's place at the start", fontsize=10)
-    else:
-        axis.set_title("by the trunk's place at the start, all of it above the deck", fontsize=10)
-    margin = 0.04 * (upper - lower).max()
-    axis.set_xlim(lower[0] - margin, upper[0] + margin)
-    axis.set_ylim(lower[1] - margin, upper[1] + margin)
+    lower, upper = _limits(result, boards)
+    axis.set_xlim(lower[0], upper[0])
+    axis.set_ylim(lower[1], upper[1])
+    dots = f"; dots: the {len(failed):,} failures" if len(failed) else ""
+    axis.set_title(f"by the trunk's place at the start{dots}", fontsize=10)
     axis.set_aspect("equal")
     axis.set_xlabel("along the board, m", fontsize=9)
     axis.set_ylabel("to its left, m", fontsize=9)
     axis.tick_params(labelsize=8)
     axis.grid(alpha=0.2)
-    if len(failed):
-        axis.legend(loc="upper right", fontsize=8, framealpha=0.8)
     return mesh
 
 
-def _draw_board(axis: Axes, board: SkateboardConfig) -> None:
-    from matplotlib.patches import Ellipse, Rectangle
+def _limits(result: Evaluation, boards: Sequence[SkateboardConfig]) -> tuple[np.ndarray, np.ndarray]:
+    """Lower left and upper right of what is shown: all starts, and the boards unless every start is over them."""
+    xy = result.records.start[:, :2].double().numpy()
+    lower, upper = xy.min(0), xy.max(0)
+    corner = np.max([(board.deck_length / 2 + board.kick_length, board.deck_width / 2) for board in boards], axis=0)
+    if (np.abs([lower, upper]) > corner).any():
+        lower, upper = np.minimum(lower, -corner), np.maximum(upper, corner)
+    margin = 0.05 * (upper - lower).max() + 1e-3
+    return lower - margin, upper + margin
 
-    half = board.deck_length / 2, board.deck_width / 2
+
+def _draw_board(axis: Axes, board: SkateboardConfig) -> None:
+    from matplotlib.patches import Arc, Rectangle
+
+    x, width = board.deck_length / 2, board.deck_width
     # The flat part, which is to be stood on, and the rounded kicks at its ends.
-    size = 2 * half[0], 2 * half[1]
-    axis.add_patch(Rectangle((-half[0], -half[1]), *size, fill=False, ec=EDGE, lw=1.3, zorder=2))
-    for end in (-half[0], half[0]):
-        kick = Ellipse((end, 0), 2 * board.kick_length, size[1], fill=False, ec=EDGE, lw=0.8, ls=":", zorder=2)
-        axis.add_patch(kick)
+    axis.add_patch(Rectangle((-x, -width / 2), 2 * x, width, fill=False, ec=EDGE, lw=1.3, zorder=2))
+    for end, first in ((-x, 90), (x, -90)):
+        arc = Arc((end, 0), 2 * board.kick_length, width, theta1=first, theta2=first + 180, ec=EDGE, lw=0.8, zorder=2)
+        axis.add_patch(arc)
 
 
 def _draw_headings(axis: Axes, result: Evaluation) -> None:

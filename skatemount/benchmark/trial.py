@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import copy
+import functools
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -14,14 +15,16 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from skatemount import config as configuration
 from skatemount.agent import Agent, check_contract
 from skatemount.benchmark.evaluation import EVALUATION_SEED, NUM_WORLDS, Evaluator, mix_seeds
+from skatemount.benchmark.pipeline import PipelineAgent
 from skatemount.benchmark.records import EpisodeRecords
 from skatemount.benchmark.results import Evaluation
 from skatemount.benchmark.suites import SuiteConfig
 from skatemount.config import Config
-from skatemount.envs.task import MountTask
 from skatemount.errors import ConfigError
 
-NOT_THE_TASKS = ("checkpoint", "suite", "episodes", "episode", "json", "output", "seed", "torch_threads")
+NOT_THE_TASKS = (
+    *("checkpoint", "pipeline", "handover", "suite", "episodes", "episode", "json", "output", "seed", "torch_threads"),
+)
 """Settings of the verbs themselves."""
 
 
@@ -36,7 +39,6 @@ class Trial:
         configs: The task's configuration by variant; a suite without variants has one, named "".
         overrides: What the user changed in it.
         seed: The user's.
-        checkpoint: What to call the policy on a command line.
     """
 
     agent: Agent
@@ -45,27 +47,29 @@ class Trial:
     configs: dict[str, Config]
     overrides: list[str]
     seed: int
-    checkpoint: str
 
     @classmethod
     def prepare(cls, config: Config, overrides: Sequence[str]) -> list[Trial]:
         """Load the policy that the command line names, and work out its tasks.
 
         Args:
-            config: As composed from the command line; its ``checkpoint``, ``suite``, ``seed`` and ``logger.root``
-                count.
+            config: As composed from the command line; its ``checkpoint``, or ``pipeline`` and ``handover``, ``suite``,
+                ``seed`` and ``logger.root`` count.
             overrides: What the user asked for; see `trial_config`.
 
         Returns:
             One trial for each suite.
 
         Raises:
-            ConfigError: No such policy or suite, or the policy does not fit the task.
+            ConfigError: No such policy, suite or setting.
         """
-        agent = Agent.load(config.checkpoint, config.logger.root)
+        if config.pipeline is None:
+            agent = Agent.load(config.checkpoint, config.logger.root)
+        else:
+            agent = PipelineAgent.load_pair(config.pipeline, config.handover, config.logger.root)
         asked = [o for o in overrides if _key(o).split(".")[0] not in NOT_THE_TASKS]
         suites = [config.suite] if config.suite is None else expand(config.suite)
-        return [cls.of(agent, suite, asked, config.seed, config.checkpoint) for suite in suites]
+        return [cls.of(agent, suite, asked, config.seed) for suite in suites]
 
     @classmethod
     def of(
@@ -74,7 +78,6 @@ class Trial:
         suite: SuiteConfig | None,
         overrides: Sequence[str] = (),
         seed: int = 0,
-        checkpoint: str = "checkpoint",
     ) -> Trial:
         """Work out the tasks of one suite.
 
@@ -83,21 +86,16 @@ class Trial:
             suite: A suite with a stage; none for the policy's own task.
             overrides: What the user changes in the task; see `trial_config`.
             seed: The user's.
-            checkpoint: What the policy was asked for by.
 
         Raises:
-            ConfigError: No such setting, or the policy does not fit the task.
+            ConfigError: No such setting.
         """
         variants = suite.variants if suite is not None and suite.variants else {"": []}
         configs = {
             name: trial_config(agent.config, suite, overrides, variant=changes) for name, changes in variants.items()
         }
-        for each in configs.values():
-            check_contract(agent.card, MountTask(config=each), f"checkpoint={checkpoint}")
         name = suite.name if suite is not None else agent.card.stage or "its own task"
-        # "latest" may be another policy tomorrow.
-        again = checkpoint if checkpoint.startswith("pretrained:") else str(agent.path)
-        return cls(agent, name, suite, configs, list(overrides), seed, again)
+        return cls(agent, name, suite, configs, list(overrides), seed)
 
     @property
     def label(self) -> str:
@@ -116,12 +114,28 @@ class Trial:
         index, turn = episode % len(self.configs), episode // len(self.configs)
         return list(self.configs)[index], turn
 
+    def numbered(self, variant: str, records: EpisodeRecords) -> EpisodeRecords:
+        """Episodes of a variant with their numbers in the trial; the reverse of `variant_of`."""
+        index = list(self.configs).index(variant)
+        number = records.number * len(self.configs) + index
+        return replace(records, number=number, variant=torch.full_like(number, index))
+
     def evaluator(self, variant: str) -> Evaluator:
-        """What plays the episodes of a variant; to be closed."""
+        """What plays the episodes of a variant; to be closed.
+
+        Raises:
+            ConfigError: The policy does not fit the task.
+        """
         config = self.configs[variant]
         suite_seed = 0 if self.suite is None else self.suite.seed
         seed = mix_seeds(EVALUATION_SEED + self.seed, suite_seed, list(self.configs).index(variant))
-        return Evaluator(config, config.physics.num_worlds, seed)
+        evaluator = Evaluator(config, config.physics.num_worlds, seed)
+        try:
+            check_contract(self.agent.card, evaluator.env.task, self.agent.settings[0])
+        except ConfigError:
+            evaluator.close()
+            raise
+        return evaluator
 
     def evaluate(self, episodes: int, progress: Callable[[float, str], None] | None = None) -> Evaluation:
         """Put the policy to the test.
@@ -132,6 +146,9 @@ class Trial:
 
         Returns:
             The results, with everything that repeating them takes.
+
+        Raises:
+            ConfigError: Fewer than 1 episode, or the policy does not fit the task.
         """
         variants = list(self.configs)
         parts: list[Evaluation] = []
@@ -145,11 +162,10 @@ class Trial:
 
             evaluator = self.evaluator(name)
             try:
-                part = evaluator.run(self.agent.networks, count, report)
+                part = evaluator.run(self.agent.policy, count, report)
             finally:
                 evaluator.close()
-            part.records.number = part.records.number * len(variants) + i
-            part.records.variant = torch.full_like(part.records.number, i)
+            part.records = self.numbered(name, part.records)
             parts.append(part)
         records = EpisodeRecords.cat([part.records for part in parts])
         return Evaluation(
@@ -161,7 +177,7 @@ class Trial:
 
     def record_command(self, episode: int) -> str:
         """The command that films an episode exactly as it was evaluated."""
-        words = ["python", "-m", "skatemount.record", f"checkpoint={self.checkpoint}"]
+        words = ["python", "-m", "skatemount.record", *self.agent.settings]
         if self.suite is not None:
             words.append(f"suite={self.suite.name}")
         if self.seed:
@@ -249,7 +265,7 @@ def trial_config(
     changes = [*(o for o in changes if _key(o) not in theirs), *overrides]
     asked = configuration.to_dict(configuration.compose(stage if known else None, changes))
 
-    result = copy.deepcopy(policy) if suite is None else configuration.compose(stage)
+    result = copy.deepcopy(policy if suite is None else _stage(stage))
     result.robot, result.observation, result.network = policy.robot, policy.observation, policy.network
     result.physics.timestep, result.physics.substeps = policy.physics.timestep, policy.physics.substeps
     if policy.command.mode == "zero" and result.success == "mount":
@@ -260,6 +276,12 @@ def trial_config(
     for override in changes:
         _copy(_key(override).replace("/", ".").split("."), asked, values)
     return configuration.from_dict(values)
+
+
+@functools.lru_cache
+def _stage(name: str) -> Config:
+    """A stage's settings; composing them takes a while, and many suites share a stage."""
+    return configuration.compose(name)
 
 
 def _key(override: str) -> str:

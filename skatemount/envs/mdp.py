@@ -32,8 +32,8 @@ class Outcome:
         shares: ``[terms, N]``, every reward term's weighed share.
         ends: ``[terminations, N]`` bool.
         terminated: ``[N]`` bool, ended by a termination.
-        truncated: ``[N]`` bool, ended by the time limit alone.
-        succeeded: ``[N]`` bool, ended by the time limit, and achieved what the task asks for.
+        truncated: ``[N]`` bool, ended by the time limit alone, or by having stood long enough.
+        succeeded: ``[N]`` bool, truncated, and achieved what the task asks for.
     """
 
     reward: Tensor
@@ -59,6 +59,7 @@ class Mdp:
         privileged: What only the critic sees besides.
         rewards: Reward terms.
         terminations: Termination terms.
+        enough: Seconds of standing on the board after which an episode ends as at its time limit.
     """
 
     def __init__(self, config: TaskConfig, scene: Scene, generator: torch.Generator):
@@ -71,6 +72,7 @@ class Mdp:
         self._commander = Commander(config.command, self.context.control_step, generator)
         self._fade = math.exp(-self.context.control_step / 0.35)
         self.criterion = config.success
+        self.enough = math.inf
         self._succeeded = success.CRITERIA[config.success]
         self._noise = generator if config.observation.noise else None
         robot = scene.robot
@@ -152,7 +154,8 @@ class Mdp:
         ends = torch.cat((self.terminations(sim, episode), diverged.unsqueeze(0)))
         terminated = ends.any(0)
         episode.terminated = terminated
-        truncated = (episode.step >= self.context.episode_steps) & ~terminated
+        over = (episode.step >= self.context.episode_steps) | (episode.mounted_time >= self.enough - step / 2)
+        truncated = over & ~terminated
         shares = self.rewards(sim, episode)
         # What a failed world shows means nothing; one number that is not finite would spoil the whole batch.
         shares = torch.where(diverged, 0.0, shares)

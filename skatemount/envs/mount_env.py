@@ -40,6 +40,8 @@ class MountEnv(EnvBase):
         threads: Physics threads; the task's setting if none, every core if 0.
         seed: Source of every random number; results do not depend on the number of threads.
         random_phase: Let the first episodes start at random phases, so that they do not all end at once.
+        enough: End an episode, as at its time limit, once the robot has stood on the board for so many seconds; none
+            to let it stand.
 
     Attributes:
         task: The task.
@@ -55,6 +57,7 @@ class MountEnv(EnvBase):
         threads: int | None = None,
         seed: int = 0,
         random_phase: bool = False,
+        enough: float | None = None,
     ):
         config = task.config.physics
         physics = make_physics(task.scene, config, num_worlds, threads)
@@ -64,6 +67,8 @@ class MountEnv(EnvBase):
         self.physics: Physics = physics
         self.generator = torch.Generator()
         self.mdp = task.make_mdp(self.generator)
+        if enough is not None:
+            self.mdp.enough = enough
         self.statistics = EpisodeStatistics(self.mdp, n)
         self.listeners: list[Listener] = [self.statistics.add]
         self._place: Place | None = None

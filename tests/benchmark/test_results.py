@@ -18,7 +18,7 @@ Make = Callable[..., EpisodeRecords]
 
 def test_results_as_json_and_as_a_table(make_records: Make) -> None:
     records = make_records(20, end=[2] * 5 + [0] * 15, feet=[1.5] * 20, slips=[0, 3] * 10, energy=range(20))
-    result = Evaluation(records, ENDS, evaluated={"checkpoint": "a/b", "suite": "mount-fixed"})
+    result = Evaluation(records, ENDS, evaluated={"checkpoint": "a/b", "suite": "far", "definition": {"version": 3}})
     document = json.loads(json.dumps(result.to_dict(), allow_nan=False))
     assert document["episodes"] == 20
     assert document["success"] == pytest.approx({"rate": 0, "low": 0, "high": 0.1611}, abs=5e-5)
@@ -28,7 +28,7 @@ def test_results_as_json_and_as_a_table(make_records: Make) -> None:
     assert "failed_episodes" not in result.to_dict(failed_episodes=False) and "variants" not in document
     text = result.table()
     for part in (
-        "a/b on mount-fixed",
+        "a/b on far, version 3",
         "0.0% (95 % interval 0.0% to 16.1%)",
         "20: not mounted at the time limit 15, tilt 5",
         "1.50 an episode",

@@ -320,3 +320,23 @@ def test_episodes_that_began_in_the_middle_are_left_out_of_the_metrics(make_env)
 def test_the_tasks_settings_say_how_many_worlds(make_env) -> None:
     env = make_env("balance", None, ["physics.num_worlds=5"])
     assert env.num_worlds == 5 and env.reset().batch_size == (5,)
+
+
+def test_an_episode_may_end_once_the_robot_has_stood_enough(make_env) -> None:
+    """As at the time limit, and with success; a robot that stands less goes on."""
+    overrides = (*QUIET, "episode_length=3.0", "start.height=[0.0,0.0]")
+    ended = {}
+    for enough in (1.2, None):
+        env = make_env("balance", 16, overrides, enough=enough)
+        still = TensorDict({"action": torch.zeros(16, 12)}, batch_size=[16])
+        env.reset()
+        first = torch.zeros(16)
+        for step in range(1, 76):
+            after = env.step(still.clone())["next"]
+            over = (after["truncated"] & after["success"]).squeeze(1)
+            assert (env.episode.mounted_time[over] >= 1.0 - 0.02).all()
+            first = torch.where((first == 0) & over, step * 0.04, first)
+        ended[enough] = first[first > 0]
+    assert len(ended[1.2]) > 0
+    assert ended[1.2].min() == pytest.approx(1.2, abs=0.1)
+    assert (ended[None] == 3.0).all()
