@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,7 +20,6 @@ import yaml
 
 from skatemount import cli
 from skatemount.agent import Agent
-from skatemount.benchmark.results import Evaluation
 from skatemount.checkpoint import list_checkpoints, load_training_state
 from skatemount.config import compose, from_dict, to_dict
 from skatemount.errors import ConfigError
@@ -68,6 +68,11 @@ def rows(run: RunFolder) -> list[dict[str, str]]:
 
 def weights(run: RunFolder) -> dict[str, torch.Tensor]:
     return Agent.load(str(run.path)).networks.state_dict()
+
+
+def evaluated(success: float) -> SimpleNamespace:
+    """What an evaluation tells the training."""
+    return SimpleNamespace(metrics=lambda: {"Evaluation/success": success, "Evaluation/feet_on_board": 1.0})
 
 
 def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
@@ -124,9 +129,8 @@ def test_same_seed_same_weights_whatever_the_threads(tmp_path: Path) -> None:
 
 def test_a_gate_ends_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rates = iter([1, 2, 3, 4])
-    monkeypatch.setattr(Trainer, "_evaluate", lambda self, episodes: Evaluation(4, next(rates), 1.0))
-    evaluated = ["logger.evaluate_every=2", "stage.gate=0.5"]
-    left = run(tmp_path, *evaluated, *SILENT, frames=20 * BATCH)
+    monkeypatch.setattr(Trainer, "_evaluate", lambda self, episodes: evaluated(next(rates) / 4))
+    left = run(tmp_path, "logger.evaluate_every=2", "stage.gate=0.5", *SILENT, frames=20 * BATCH)
     assert left.latest is not None and left.latest.name == f"step_{4 * BATCH:012d}"
 
 

@@ -219,7 +219,10 @@ class Chain:
         finally:
             trainer.close()
         if result is not None:
-            self._evaluated[part.name] = {"episodes": result.episodes, **result.to_dict()["success"]}
+            self._evaluated[part.name] = {
+                "episodes": result.episodes,
+                **result.to_dict(failed_episodes=False)["success"],
+            }
             print(result.table(), flush=True)
         self.report()
 

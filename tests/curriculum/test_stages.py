@@ -6,13 +6,13 @@ import json
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
 
 from skatemount.agent import Agent
-from skatemount.benchmark.results import Evaluation
 from skatemount.config import compose
 from skatemount.curriculum.base import StageLink
 from skatemount.curriculum.stages import Chain
@@ -72,6 +72,11 @@ def weights(run: Path) -> dict[str, torch.Tensor]:
     return Agent.load(str(run)).networks.state_dict()
 
 
+def evaluated(success: float) -> SimpleNamespace:
+    """What an evaluation tells the training."""
+    return SimpleNamespace(metrics=lambda: {"Evaluation/success": success, "Evaluation/feet_on_board": 1.0})
+
+
 def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
     return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
 
@@ -92,7 +97,7 @@ def message(root: Path, *overrides: str) -> str:
 def chain(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """Two stages of three iterations each."""
     root = tmp_path_factory.mktemp("chain") / "runs"
-    return command(root, *TWO, f"total_frames={6 * BATCH}", "seed=3", "logger.csv=true")
+    return command(root, *TWO, f"total_frames={6 * BATCH}", "seed=3", "logger.csv=true", "logger.final_episodes=4")
 
 
 def test_one_folder_with_a_part_for_each_stage(chain: RunFolder) -> None:
@@ -107,6 +112,7 @@ def test_one_folder_with_a_part_for_each_stage(chain: RunFolder) -> None:
     assert {name: stage["frames"] for name, stage in stages.items()} == {"balance": 3 * BATCH, "mount": 3 * BATCH}
     assert all(stage["ended"] == "budget" and stage["seconds"] > 0 for stage in stages.values())
     assert (chain.path / "curves.png").read_bytes().startswith(b"\x89PNG")
+    assert all(stage["evaluated"]["episodes"] == 4 for stage in stages.values())
     assert stages["balance"]["starts_from"] is None
     assert stages["mount"]["starts_from"] == str(chain.path / "1_balance")
 
@@ -160,7 +166,7 @@ def test_a_gate_ends_a_stage_and_the_later_ones_get_what_is_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rates = iter([0, 3, 0, 0, 0, 0, 0, 0])
-    monkeypatch.setattr(Trainer, "_evaluate", lambda self, n: Evaluation(4, next(rates), 1.0))
+    monkeypatch.setattr(Trainer, "_evaluate", lambda self, n: evaluated(next(rates) / 4))
     run = command(tmp_path, *TWO, *EVALUATED, f"total_frames={8 * BATCH}", "curriculum.stages.balance.gate=0.75")
     stages = report(run)
     assert (stages["balance"]["ended"], stages["balance"]["frames"]) == ("gate", 2 * BATCH)
