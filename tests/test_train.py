@@ -19,7 +19,7 @@ import yaml
 
 from skatemount import cli
 from skatemount.agent import Agent
-from skatemount.benchmark.evaluation import Evaluation
+from skatemount.benchmark.results import Evaluation
 from skatemount.checkpoint import list_checkpoints, load_training_state
 from skatemount.config import compose, from_dict, to_dict
 from skatemount.errors import ConfigError

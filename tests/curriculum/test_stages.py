@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from skatemount.agent import Agent
-from skatemount.benchmark.evaluation import Evaluation
+from skatemount.benchmark.results import Evaluation
 from skatemount.config import compose
 from skatemount.curriculum.base import StageLink
 from skatemount.curriculum.stages import Chain

@@ -1,0 +1,259 @@
+"""Three ways to learn mounting, from the same seeds with as many steps: success against steps, as table and figure.
+
+    python benchmarks/compare_curricula.py --frames 4000000 --seeds 0 1 2
+
+* auto: stage unfixed with the automatic reverse curriculum, from nothing;
+* paper: the paper's chain of stages, from gait to unfixed, all within the same number of steps;
+* forward: starts anywhere within a metre from nothing, no curriculum, the baseline that the paper reports as failing.
+
+Networks and algorithm are the same for all: those of the automatic curriculum's settings. Checkpoints kept on the way
+are evaluated afterwards on the same suites from the same seeds, beside a fixed board and beside a free one. A last row
+says how the policy of the chain's stage approach, which knows fixed boards alone, does on a free one without training.
+
+Trainings run one after the other. Whatever is finished is not done again: start it anew to go on. Settings after the
+options are for every training, such as `physics.num_worlds=128`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from omegaconf import OmegaConf
+
+from skatemount import atomic
+from skatemount import config as configuration
+from skatemount.agent import Agent
+from skatemount.benchmark.trial import Trial, load_suite
+from skatemount.checkpoint import list_checkpoints, read_card
+from skatemount.plots import COLOURS
+from skatemount.runs import RunFolder
+
+METHODS = {
+    "auto": ["+stage=unfixed", "+curriculum=auto", "init_from=null", "logger.evaluate_every=0"],
+    # Gates need evaluations; they are not counted as steps.
+    "paper": ["+curriculum=paper", "logger.evaluate_every=10"],
+    "forward": ["+stage=forward", "init_from=null", "logger.evaluate_every=0"],
+}
+SUITES = ("approach-fixed", "approach-unfixed")
+TRANSFER = "paper, end of approach"
+
+
+def count_successes(agent: Agent, suite: str, episodes: int) -> int:
+    """How many of the suite's episodes a policy succeeds in; every policy meets the same ones."""
+    return Trial.of(agent, load_suite(suite)).evaluate(episodes).successes
+
+
+@dataclass
+class Saved:
+    """A checkpoint of a training.
+
+    Attributes:
+        folder: The checkpoint.
+        stage: What it was trained in last.
+        frames: Environment steps trained, those of earlier stages included.
+    """
+
+    folder: Path
+    stage: str
+    frames: int
+
+
+class Comparison:
+    """The trainings, their checkpoints and what came of them.
+
+    Args:
+        folder: For everything.
+        frames: Steps of each training.
+        points: Checkpoints to evaluate of each, about.
+        overrides: For every training.
+    """
+
+    def __init__(self, folder: Path, frames: int, points: int, overrides: Sequence[str]):
+        self.folder, self.frames, self.points = folder, frames, points
+        self._overrides = [*_common_settings(), *overrides]
+        plan = {"frames": frames, "overrides": self._overrides}
+        path = folder / "plan.json"
+        if path.is_file() and json.loads(path.read_text()) != plan:
+            sys.exit(f"{folder} holds a comparison with other settings ({path}): name another folder with --out")
+        atomic.write_text(path, json.dumps(plan, indent=2) + "\n")
+        self._evaluations = folder / "evaluations.json"
+        done = self._evaluations.read_text() if self._evaluations.is_file() else "{}"
+        self.evaluated: dict[str, dict[str, int]] = json.loads(done)
+
+    def run(self, method: str, seed: int) -> RunFolder | None:
+        """The run folder of a training, if it has begun and can go on."""
+        found = sorted((self.folder / "runs" / "compare").glob(f"*_{method}_seed{seed}"))
+        runs = [RunFolder(path) for path in found]
+        return next((run for run in reversed(runs) if run.latest is not None), None)
+
+    def train(self, method: str, seed: int) -> None:
+        """Train, or go on, or do nothing if it is trained already."""
+        run = self.run(method, seed)
+        if run is not None and self.saved(run)[-1].frames >= self.frames:
+            return
+        root = f"logger.root={self.folder / 'runs'}"
+        if run is not None:
+            arguments = [f"resume={run.path}", root, *self._logger(method)]
+        else:
+            name = [f"logger.name={method}_seed{seed}", "logger.experiment=compare", root]
+            arguments = [*METHODS[method], *self._overrides, f"seed={seed}", f"total_frames={self.frames}", *name]
+            arguments += self._logger(method)
+        ended = subprocess.run([sys.executable, "-m", "skatemount.train", *arguments])
+        if ended.returncode:
+            sys.exit(f"{method}, seed {seed} ended with status {ended.returncode}: start again to go on")
+
+    def _logger(self, method: str) -> list[str]:
+        config = configuration.compose("forward", self._overrides)
+        iterations = self.frames / (config.physics.num_worlds * config.collector.steps)
+        every = max(1, math.ceil(iterations / self.points))
+        evaluated = [each for each in METHODS[method] if each.startswith("logger.")]
+        return [
+            f"logger.checkpoint_every={every}",
+            "logger.keep_checkpoints=1000",
+            "logger.final_episodes=0",
+            *evaluated,
+        ]
+
+    def saved(self, run: RunFolder) -> list[Saved]:
+        """The checkpoints of a training in order, by all the steps that led to them."""
+        found, before = [], 0
+        for part in run.parts or [run]:
+            cards = [(folder, read_card(folder)) for folder in list_checkpoints(part.checkpoints)]
+            found += [Saved(folder, card.stage, before + card.frames) for folder, card in cards]
+            before += max((card.frames for _, card in cards), default=0)
+        return sorted(found, key=lambda each: each.frames)
+
+    def chosen(self, run: RunFolder) -> list[Saved]:
+        """The checkpoints to evaluate: the first at or after each of the points, and the last."""
+        saved = self.saved(run)
+        wanted = [self.frames * (i + 1) / self.points for i in range(self.points)]
+        picked = [next((s for s in saved if s.frames >= frames), saved[-1]) for frames in wanted]
+        return list({each.folder: each for each in (*picked, saved[-1])}.values())
+
+    def evaluate(self, saved: Saved, episodes: int) -> dict[str, float]:
+        """Success rate by suite, from the file of results where it is known."""
+        rates, agent = {}, None
+        for suite in SUITES:
+            key = f"{saved.folder.relative_to(self.folder).as_posix()} {suite}"
+            if self.evaluated.get(key, {}).get("episodes") != episodes:
+                agent = agent or Agent.load(str(saved.folder))
+                successes = count_successes(agent, suite, episodes)
+                self.evaluated[key] = {"successes": successes, "episodes": episodes}
+                atomic.write_text(self._evaluations, json.dumps(self.evaluated, indent=2) + "\n")
+            rates[suite] = self.evaluated[key]["successes"] / episodes
+        return rates
+
+
+def _common_settings() -> list[str]:
+    """The automatic curriculum's settings of network and algorithm, so that nothing but the curriculum differs."""
+    settings = OmegaConf.load(configuration.config_dir() / "curriculum" / "auto.yaml")
+
+    def flat(prefix: str, values: Any) -> Iterator[str]:
+        for name, value in values.items():
+            yield f"{prefix}.{name}={'null' if value is None else value}"
+
+    return [each for group in ("network", "algorithm") for each in flat(group, settings.get(group, {}))]
+
+
+def table(rows: dict[str, dict[str, list[float]]]) -> str:
+    """Success at the end as Markdown: mean over the seeds, lowest to highest in brackets."""
+    lines = [f"| | {' | '.join(SUITES)} |", "|---" * (len(SUITES) + 1) + "|"]
+    for name, rates in rows.items():
+        cells = [f"{np.mean(r):.3f} ({min(r):.3f}–{max(r):.3f})" if (r := rates[s]) else "–" for s in SUITES]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def draw(curves: dict[str, list[list[dict[str, Any]]]], frames: int, path: Path) -> None:
+    """Success against steps, a panel a suite: thin lines are seeds, thick ones their mean."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter
+
+    figure = Figure(figsize=(5.2 * len(SUITES), 4.2), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    for axis, suite in zip(figure.subplots(1, len(SUITES), sharey=True), SUITES):
+        for colour, (method, seeds) in zip(COLOURS, curves.items()):
+            lines = [([p["frames"] for p in seed], [p["success"][suite] for p in seed]) for seed in seeds if seed]
+            if not lines:
+                continue
+            for x, y in lines:
+                axis.plot(x, y, color=colour, lw=0.8, alpha=0.5)
+            grid = np.linspace(max(x[0] for x, _ in lines), min(x[-1] for x, _ in lines), 50)
+            mean = np.mean([np.interp(grid, x, y) for x, y in lines], axis=0)
+            axis.plot(grid, mean, color=colour, lw=2.4, label=method)
+        axis.set_title(suite, fontsize=10)
+        axis.set_xlabel("environment steps", fontsize=9)
+        axis.set_xlim(0, frames)
+        axis.set_ylim(-0.03, 1.03)
+        axis.xaxis.set_major_formatter(EngFormatter(sep=""))
+        axis.grid(alpha=0.25)
+    figure.axes[0].set_ylabel("success rate", fontsize=9)
+    figure.axes[0].legend(fontsize=9, framealpha=0.6)
+    with atomic.replacing(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def main() -> None:
+    """Train, evaluate, write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=4_000_000, help="environment steps of each training")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
+    parser.add_argument("--points", type=int, default=8, help="checkpoints of each training to evaluate, about")
+    parser.add_argument("--episodes", type=int, default=500, help="of each evaluation")
+    parser.add_argument("--out", type=Path, default=Path("runs/compare_curricula"), help="folder for everything")
+    parser.add_argument("overrides", nargs="*", help="settings for every training")
+    options = parser.parse_intermixed_args()
+    comparison = Comparison(options.out, options.frames, options.points, options.overrides)
+
+    pairs = [(method, seed) for seed in options.seeds for method in options.methods]
+    for i, (method, seed) in enumerate(pairs, 1):
+        print(f"training {i} of {len(pairs)}: {method}, seed {seed}", flush=True)
+        comparison.train(method, seed)
+
+    curves: dict[str, list[list[dict[str, Any]]]] = {method: [] for method in options.methods}
+    transfer: list[dict[str, float]] = []
+    for i, (method, seed) in enumerate(pairs, 1):
+        run = comparison.run(method, seed)
+        assert run is not None, f"{method}, seed {seed}: trained, and no checkpoint is there"
+        curve = []
+        for each in comparison.chosen(run):
+            rates = comparison.evaluate(each, options.episodes)
+            print(f"evaluation {i} of {len(pairs)}: {method}, seed {seed}, {each.frames} steps: {rates}", flush=True)
+            curve.append({"frames": each.frames, "stage": each.stage, "success": rates})
+        curves[method].append(curve)
+        if ended := [each for each in comparison.saved(run) if run.parts and each.stage == "approach"]:
+            transfer.append(comparison.evaluate(ended[-1], options.episodes))
+
+    rows = {name: {s: [seed[-1]["success"][s] for seed in seeds] for s in SUITES} for name, seeds in curves.items()}
+    if transfer:
+        rows[TRANSFER] = {s: [rates[s] for rates in transfer] for s in SUITES}
+    seeds = f"{len(options.seeds)} seeds" if len(options.seeds) > 1 else "1 seed"
+    what = f"mean of {seeds} (lowest to highest), {options.episodes} episodes each"
+    text = f"Success after {options.frames:,} steps: {what}.\n\n{table(rows)}"
+    print(text)
+    document = {
+        "frames": options.frames,
+        "seeds": options.seeds,
+        "episodes": options.episodes,
+        "curves": curves,
+        "end": rows,
+    }
+    atomic.write_text(options.out / "results.json", json.dumps(document, indent=2) + "\n")
+    atomic.write_text(options.out / "table.md", text)
+    draw(curves, options.frames, options.out / "curves.png")
+    print(f"{options.out}/results.json, table.md, curves.png")
+
+
+if __name__ == "__main__":
+    main()
