@@ -42,7 +42,7 @@ def plot_success_map(result: Evaluation, boards: Sequence[SkateboardConfig], png
     FigureCanvasAgg(figure)
     low, high = result.interval
     rate = f"{result.success_rate:.1%} of {result.episodes:,} episodes (95 % interval {low:.1%} to {high:.1%})"
-    figure.suptitle(f"{result.title}\n{rate}", fontsize=12, parse_math=False)
+    figure.suptitle(f"{result.title}: {rate}", fontsize=13, parse_math=False)
     width, height = np.ptp(_limits(result, boards), axis=0)
     place, heading = figure.subplots(1, 2, width_ratios=(1.15 * float(np.clip(width / height, 0.45, 1)), 1))
     mesh = _draw_places(place, result, boards)

@@ -204,9 +204,6 @@ class PPO:
             loc, scale = _moments(self.networks.distribution(flat))
             # The scale is a view of the parameter that is about to change.
             scale = scale.clone()
-            if self._symmetry is not None:
-                image = self._symmetry.image(flat)
-                flat["image_log_prob"] = self.networks.distribution(image).log_prob(image["action"]).float()
 
         sums: dict[str, Tensor] = {}
         updates = 0

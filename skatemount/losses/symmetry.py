@@ -40,25 +40,8 @@ class Symmetry:
         permutation, signs = self._maps[key]
         return values[..., permutation] * signs
 
-    def image(self, batch: TensorDictBase) -> TensorDictBase:
-        """The mirror image of every row of a batch; what has no mirror image stays.
-
-        An image was never acted out: if ``image_log_prob`` is there, the old policy's log-probability of the image's
-        action in the image's state, it becomes ``action_log_prob``. With the original's instead, the ratio would start
-        far from 1 wherever the policy is a little asymmetric, and much of the images' gradient would be clipped away.
-
-        Args:
-            batch: ``[B]``.
-        """
-        mirrored = batch.clone(False)
-        for key in self._maps:
-            mirrored[key] = self.mirror(key, batch[key])
-        if "image_log_prob" in batch.keys():
-            mirrored["action_log_prob"] = batch["image_log_prob"]
-        return mirrored
-
     def augment(self, batch: TensorDictBase) -> TensorDictBase:
-        """A batch with the mirror image of every row after it.
+        """A batch with the mirror image of every row after it; what has no mirror image is repeated.
 
         Args:
             batch: ``[B]``.
@@ -66,7 +49,10 @@ class Symmetry:
         Returns:
             ``[2 B]``.
         """
-        return torch.cat((batch, self.image(batch)))
+        mirrored = batch.clone(False)
+        for key in self._maps:
+            mirrored[key] = self.mirror(key, batch[key])
+        return torch.cat((batch, mirrored))
 
     def flip(self, batch: TensorDictBase) -> TensorDictBase:
         """A batch with every other row replaced by its mirror image; rows are expected in random order.
@@ -75,6 +61,11 @@ class Symmetry:
             batch: ``[B]``.
 
         Returns:
-            ``[B]``, in another order.
+            ``[B]``.
         """
-        return torch.cat((self.image(batch[::2]), batch[1::2]))
+        mirrored = batch.clone(False)
+        for key in self._maps:
+            values = batch[key].clone()
+            values[::2] = self.mirror(key, values[::2])
+            mirrored[key] = values
+        return mirrored
