@@ -102,7 +102,10 @@ class Comparison:
             return
         root = f"logger.root={self.folder / 'runs'}"
         if run is not None:
-            arguments = [f"resume={run.path}", root, *self._logger(method)]
+            kept = [
+                each for each in self._overrides if each.startswith(("logger.", "torch_threads", "physics.threads"))
+            ]
+            arguments = [f"resume={run.path}", root, *kept, *self._logger(method)]
         else:
             name = [f"logger.name={method}_seed{seed}", "logger.experiment=compare", root]
             arguments = [*METHODS[method], *self._overrides, f"seed={seed}", f"total_frames={self.frames}", *name]

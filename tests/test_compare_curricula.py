@@ -74,6 +74,7 @@ def test_from_training_to_figure_and_not_twice(
     script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tiny = ["physics.num_worlds=8", "collector.steps=4", "physics.threads=1", "torch_threads=1", "episode_length=1.0"]
+    tiny += ["logger.evaluate_episodes=8", "logger.tensorboard=false", "logger.csv=false"]
     options = ["--frames", "320", "--seeds", "0", "--points", "2", "--episodes", "4", "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", ["compare", *options, *tiny])
     script.main()
