@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 FAILURE, BARS, EDGE = "#d62728", "#4c78a8", "#333333"
 _EPISODES_A_CELL = 12
-_SECTORS = 24
+_SECTORS = (24, 12, 8)
+_EPISODES_A_SECTOR = 20
 
 
 def plot_success_map(result: Evaluation, boards: Sequence[SkateboardConfig], png_path: Path) -> None:
@@ -87,7 +88,7 @@ def _draw_places(axis: Axes, result: Evaluation, boards: Sequence[SkateboardConf
     x_failed, y_failed = failed[:, 0], failed[:, 1]
     axis.scatter(x_failed, y_failed, s=size, c=FAILURE, edgecolors="white", linewidths=rim, zorder=3)
     for board in boards:
-        _draw_board(axis, board)
+        _draw_board(axis, board, alpha=1.0 if len(boards) == 1 else 0.4)
     lower, upper = _limits(result, boards)
     axis.set_xlim(lower[0], upper[0])
     axis.set_ylim(lower[1], upper[1])
@@ -112,14 +113,15 @@ def _limits(result: Evaluation, boards: Sequence[SkateboardConfig]) -> tuple[np.
     return lower - margin, upper + margin
 
 
-def _draw_board(axis: Axes, board: SkateboardConfig) -> None:
+def _draw_board(axis: Axes, board: SkateboardConfig, alpha: float) -> None:
     from matplotlib.patches import Arc, Rectangle
 
     x, width = board.deck_length / 2, board.deck_width
     # The flat part, which is to be stood on, and the rounded kicks at its ends.
-    axis.add_patch(Rectangle((-x, -width / 2), 2 * x, width, fill=False, ec=EDGE, lw=1.3, zorder=2))
+    line: dict[str, Any] = dict(edgecolor=EDGE, alpha=alpha, zorder=2)
+    axis.add_patch(Rectangle((-x, -width / 2), 2 * x, width, fill=False, lw=1.3, **line))
     for end, first in ((-x, 90), (x, -90)):
-        arc = Arc((end, 0), 2 * board.kick_length, width, theta1=first, theta2=first + 180, ec=EDGE, lw=0.8, zorder=2)
+        arc = Arc((end, 0), 2 * board.kick_length, width, theta1=first, theta2=first + 180, lw=0.8, **line)
         axis.add_patch(arc)
 
 
@@ -127,10 +129,11 @@ def _draw_headings(axis: Axes, result: Evaluation) -> None:
     records = result.records
     degrees, success = np.degrees(records.start[:, 2].double().numpy()), records.success.numpy()
     span = np.ptp(degrees)
+    sectors = next((n for n in _SECTORS if len(degrees) >= n * _EPISODES_A_SECTOR), _SECTORS[-1])
     if span > 180:
-        edges = np.linspace(-180, 180, _SECTORS + 1)
+        edges = np.linspace(-180, 180, sectors + 1)
     else:
-        edges = np.linspace(degrees.min() - 1e-6, degrees.max() + 1e-6, _SECTORS // 2 + 1)
+        edges = np.linspace(degrees.min() - 1e-6, degrees.max() + 1e-6, sectors // 2 + 1)
     index = np.clip(np.digitize(degrees, edges) - 1, 0, len(edges) - 2)
     episodes = np.bincount(index, minlength=len(edges) - 1)
     successes = np.bincount(index, weights=success, minlength=len(edges) - 1)
