@@ -83,7 +83,9 @@ def _check_choices(arguments: list[str]) -> None:
                 raise ConfigError(f"{argument}: write +stage={value}")
             for each in value.split(","):
                 configuration.check_stage(each)
-        if key == "suite" and value != "null":
+        if key == "suite":
+            if "null" in value.split(","):
+                raise ConfigError(f"{argument}: leave suite out for the checkpoint's own task")
             for each in value.split(","):
                 configuration.check_suite(each)
 

@@ -13,8 +13,10 @@ from PIL import Image
 
 from skatemount.agent import MODULE, make_card
 from skatemount.checkpoint import save_policy
+from skatemount.cli import _check_choices
 from skatemount.config import compose
 from skatemount.envs.task import MountTask
+from skatemount.errors import ConfigError
 from skatemount.evaluate import evaluate
 from skatemount.models import ActorCritic
 
@@ -106,3 +108,15 @@ def test_a_mistake_is_one_line(policy: Path, tmp_path: Path) -> None:
         "balance-fixed, far, gait, low-friction, mount-fixed, mount-unfixed, other-boards, pushed, rolling\n"
     )
     assert result.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["-m", "suite=far,fra"], "suite=fra is not a suite; there are: all, "),
+        (["suite=null"], "suite=null: leave suite out for the checkpoint's own task"),
+    ],
+)
+def test_suites_are_looked_up_before_anything_runs(arguments: list[str], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        _check_choices(arguments)
