@@ -261,7 +261,7 @@ class Trainer:
 
     def _evaluate(self, episodes: int) -> Evaluation:
         if self._evaluator is None:
-            self._evaluator = Evaluator(self.config, seed=self.config.seed + EVALUATION_SEED)
+            self._evaluator = Evaluator(self.config, NUM_WORLDS, self.config.seed + EVALUATION_SEED)
         return self._evaluator.run(self.networks, episodes)
 
     def plot(self) -> None:
