@@ -16,7 +16,8 @@ from torchrl.collectors import Collector
 from skatemount import checkpoint
 from skatemount import config as configuration
 from skatemount.agent import MODULE, Agent, check_contract, load_weights, make_card
-from skatemount.benchmark.evaluation import EVALUATION_SEED, Evaluation, Evaluator
+from skatemount.benchmark.evaluation import EVALUATION_SEED, NUM_WORLDS, Evaluator
+from skatemount.benchmark.results import Evaluation
 from skatemount.config import Config
 from skatemount.curriculum.base import make_curriculum
 from skatemount.envs import MountEnv, MountTask
