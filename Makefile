@@ -8,6 +8,7 @@ VENV ?= .venv
 PYTHON ?=
 ARGS ?=
 STAGE ?= balance
+POLICY ?= unfixed
 
 PY := $(VENV)/bin/python
 PIPFLAGS ?=
@@ -21,20 +22,20 @@ LOCK := pyproject.toml constraints.txt
 
 help:
 	@echo "make train      set up, train the $(STAGE) stage on the CPU and print the evaluated success"
-	@echo "make demo       set up, then evaluate and film the policy that is shipped"
+	@echo "make demo       set up, then evaluate and film the shipped policy $(POLICY)"
 	@echo "make test       set up, then run the tests"
 	@echo "make lint       ruff and mypy"
 	@echo "make docs       build the documentation into docs/_build/html"
 	@echo "make clean      remove the environment and everything that tools made (not runs/)"
 	@echo "make setup      only set up $(VENV); setup-test and setup-dev add the tools"
-	@echo 'settings:       PYTHON=/path/to/python  VENV=folder  STAGE=mount  ARGS="seed=1"'
+	@echo 'settings:       PYTHON=/path/to/python  VENV=folder  STAGE=mount  POLICY=balance  ARGS="seed=1"'
 
 train: setup
 	$(PY) -m skatemount.train +stage=$(STAGE) $(ARGS)
 
 demo: setup
-	$(PY) -m skatemount.evaluate checkpoint=pretrained:$(STAGE) $(ARGS)
-	$(PY) -m skatemount.record checkpoint=pretrained:$(STAGE) $(ARGS)
+	$(PY) -m skatemount.evaluate checkpoint=pretrained:$(POLICY) $(ARGS)
+	$(PY) -m skatemount.record checkpoint=pretrained:$(POLICY) $(ARGS)
 
 test: setup-test
 	$(PY) -m pytest $(ARGS)
