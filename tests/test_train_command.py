@@ -1,0 +1,165 @@
+"""The command `python -m skatemount.train`, mostly without the seconds that a process takes to import."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+
+from skatemount import cli
+from skatemount.checkpoint import load_training_state
+from skatemount.config import compose, from_dict, to_dict
+from skatemount.runs import RunFolder
+from skatemount.train import train
+
+BATCH = 8 * 4
+TINY = [
+    "physics.num_worlds=8",
+    "collector.steps=4",
+    "network.actor=[16]",
+    "network.critic=[16]",
+    "physics.threads=1",
+    "torch_threads=1",
+    "episode_length=1.0",
+    "logger.evaluate_every=0",
+    "logger.final_episodes=0",
+    "logger.progress_every=0",
+]
+
+
+@pytest.fixture(autouse=True)
+def torch_as_it_was() -> Iterator[None]:
+    """Training sets torch's threads and precision for the whole process."""
+    precision, threads = torch.get_float32_matmul_precision(), torch.get_num_threads()
+    yield
+    torch.set_float32_matmul_precision(precision)
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], runs_root: Path) -> Callable[..., Any]:
+    """Calls ``python -m skatemount.train`` with arguments; returns status, output and error output."""
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # as it sets it itself
+
+    def call(*arguments: str) -> tuple[Any, str, str]:
+        monkeypatch.setattr(sys, "argv", ["train", *arguments])
+        status: Any = 0
+        try:
+            cli.run(train, "train")
+        except SystemExit as error:
+            status = error.code
+        out, err = capfd.readouterr()
+        return status, out, err
+
+    return call
+
+
+def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:
+    status, _, err = command()
+    assert status == 2
+    assert err.count("\n") == 1 and err.startswith("skatemount.train: no stage: add +stage=<name>")
+    for stage in ("approach", "balance", "forward", "gait", "mount", "unfixed"):
+        assert f"{stage} (" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["+stage=balanced"], "stage=balanced is not a stage; there are: approach, balance,"),
+        (["stage=balance"], "stage=balance: write +stage=balance"),
+        (["+stage=balance", "total_frame=3"], "total_frame"),
+        (["+stage=balance", "reward.alive.weight=-1", "physics.num_worlds=2"], "reward.alive.weight=-1.0 must be"),
+        (["+stage=balance", "network=smal"], "small"),
+        (["+stage=mount", "init_from=runs/none", "physics.num_worlds=2"], "init_from='runs/none': not found"),
+        (["+stage=mount", "init_from=pretrained:none", "physics.num_worlds=2"], "no such policy"),
+        (["resume=runs/none"], "runs/none"),
+        (["-m", "+stage=balance,mouunt"], "stage=mouunt is not a stage"),
+    ],
+)
+def test_mistakes_are_one_line(arguments: list[str], expected: str, command: Callable[..., Any]) -> None:
+    status, out, err = command(*arguments)
+    assert status == 2
+    assert err.count("\n") == 1 and err.startswith("skatemount.train: "), err
+    assert expected in err
+    assert "Traceback" not in out + err
+
+
+def test_command_trains(command: Callable[..., Any], runs_root: Path) -> None:
+    status, out, err = command("+stage=balance", *TINY, f"total_frames={BATCH}")
+    assert status == 0, err
+    assert "balance: 8 worlds" in out
+    left = RunFolder.open(runs_root / (runs_root / "latest").read_text().strip())
+    overrides = yaml.safe_load((left.path / "overrides.yaml").read_text())
+    assert overrides == ["+stage=balance", *TINY, f"total_frames={BATCH}"]
+    assert from_dict(left.config) == compose("balance", overrides[1:])
+    assert to_dict(from_dict(left.config)) == left.config
+    assert sorted(p.name for p in runs_root.parent.iterdir()) == ["runs"]  # nothing of Hydra's is left about
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "200"}
+
+
+def test_multirun_makes_a_run_a_combination(runs_root: Path) -> None:
+    tiny = [each for each in TINY if not each.startswith("episode_length")]
+    arguments = ["-m", "+stage=balance,mount", "seed=0,1", *tiny, "total_frames=32", "init_from=null"]
+    done = subprocess.run(
+        [sys.executable, "-m", "skatemount.train", *arguments],
+        cwd=runs_root.parent,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    made = [RunFolder.open(path) for path in sorted((runs_root / "skatemount").iterdir())]
+    assert sorted((m.config["stage"]["name"], m.config["seed"]) for m in made) == [
+        ("balance", 0),
+        ("balance", 1),
+        ("mount", 0),
+        ("mount", 1),
+    ]
+    assert all(m.latest is not None for m in made)
+    assert [p.name for p in runs_root.parent.iterdir()] == ["runs"]
+
+
+@pytest.mark.slow
+def test_sigterm_leaves_a_run_that_can_go_on(runs_root: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "skatemount.train", "+stage=balance", *TINY, "total_frames=100000000"],
+        cwd=runs_root.parent,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        deadline = time.monotonic() + 120
+        while not any(len(f.read_text().splitlines()) > 2 for f in runs_root.glob("*/*/metrics.csv")):
+            assert process.poll() is None and time.monotonic() < deadline, process.communicate()[0]
+            time.sleep(0.2)
+        process.send_signal(signal.SIGTERM)
+        out, _ = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130, out
+    assert "Traceback" not in out
+    left = RunFolder.open(next(runs_root.glob("skatemount/*")))
+    assert left.latest is not None
+    assert load_training_state(left.latest)["frames"] >= 2 * BATCH
+
+
+def test_the_stage_comes_before_what_is_chosen_on_top_of_it() -> None:
+    from skatemount.cli import _stage_first
+
+    given = ["-m", "+experiment=paper", "seed=0,1", "+stage=unfixed", "--cfg", "job"]
+    assert _stage_first(given) == ["-m", "+stage=unfixed", "+experiment=paper", "seed=0,1", "--cfg", "job"]
