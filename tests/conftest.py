@@ -55,6 +55,15 @@ def runs_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
+def torch_as_it_was() -> Iterator[None]:
+    """Training sets torch's threads and precision for the whole process."""
+    precision, threads = torch.get_float32_matmul_precision(), torch.get_num_threads()
+    yield
+    torch.set_float32_matmul_precision(precision)
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture
 def make_env() -> Iterator[Callable[..., MountEnv]]:
     """A batched environment, `make_env(stage, num_worlds, overrides, **arguments of MountEnv)`; closed at the end."""
     from skatemount.envs import MountEnv, MountTask

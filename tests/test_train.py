@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +23,8 @@ from skatemount.runs import RunFolder, find_checkpoint
 from skatemount.train import train
 from skatemount.training import Trainer
 
+pytestmark = pytest.mark.usefixtures("torch_as_it_was")
+
 BATCH = 8 * 4
 TINY = [
     "physics.num_worlds=8",
@@ -38,15 +40,6 @@ TINY = [
 ]
 
 SILENT = ["logger.csv=false", "logger.tensorboard=false"]
-
-
-@pytest.fixture(autouse=True)
-def torch_as_it_was() -> Iterator[None]:
-    """Training sets torch's threads and precision for the whole process."""
-    precision, threads = torch.get_float32_matmul_precision(), torch.get_num_threads()
-    yield
-    torch.set_float32_matmul_precision(precision)
-    torch.set_num_threads(threads)
 
 
 def run(root: Path, *overrides: str, stage: str = "balance", frames: int = 3 * BATCH) -> RunFolder:

@@ -7,12 +7,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 import yaml
 
 from skatemount import cli
@@ -20,6 +19,8 @@ from skatemount.checkpoint import load_training_state
 from skatemount.config import compose, from_dict, to_dict
 from skatemount.runs import RunFolder
 from skatemount.train import train
+
+pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
 BATCH = 8 * 4
 TINY = [
@@ -34,15 +35,6 @@ TINY = [
     "logger.final_episodes=0",
     "logger.progress_every=0",
 ]
-
-
-@pytest.fixture(autouse=True)
-def torch_as_it_was() -> Iterator[None]:
-    """Training sets torch's threads and precision for the whole process."""
-    precision, threads = torch.get_float32_matmul_precision(), torch.get_num_threads()
-    yield
-    torch.set_float32_matmul_precision(precision)
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture

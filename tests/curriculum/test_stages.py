@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,6 +20,8 @@ from skatemount.losses.ppo import PPO
 from skatemount.runs import RunFolder, find_checkpoint
 from skatemount.train import train
 from skatemount.training import Trainer
+
+pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
 BATCH = 8 * 4
 TINY = [
@@ -47,15 +48,6 @@ TWO = [
     "curriculum.stages.mount.budget=1",
 ]
 EVALUATED = ["logger.evaluate_every=1", "logger.evaluate_episodes=4"]
-
-
-@pytest.fixture(autouse=True)
-def torch_as_it_was() -> Iterator[None]:
-    """Training sets torch's threads and precision for the whole process."""
-    precision, threads = torch.get_float32_matmul_precision(), torch.get_num_threads()
-    yield
-    torch.set_float32_matmul_precision(precision)
-    torch.set_num_threads(threads)
 
 
 def command(root: Path, *overrides: str) -> RunFolder:
