@@ -13,6 +13,7 @@ from torchrl.envs.utils import ExplorationType
 from torchrl.modules import MLP, IndependentNormal, ProbabilisticActor, ValueOperator
 
 from skatemount.errors import ConfigError
+from skatemount.symmetric import Mirror, symmetric_mlp
 
 ACTIVATIONS = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh, "silu": nn.SiLU}
 
@@ -29,6 +30,8 @@ class NetworkConfig:
         min_std: Lowest standard deviation that learning may reach.
         max_std: Highest.
         normalize: Normalise observations by their running mean and deviation, inside the networks.
+        symmetric: Build the networks so that the mirror image of a state gives the mirror image of the action, and
+            the same value.
     """
 
     actor: list[int] = field(default_factory=lambda: [256, 128, 64])
@@ -38,6 +41,7 @@ class NetworkConfig:
     min_std: float = 0.05
     max_std: float = 1.0
     normalize: bool = True
+    symmetric: bool = False
 
     def validate(self, where: str = "network") -> None:
         """Raise `ConfigError` for sizes that cannot be built."""
@@ -45,6 +49,8 @@ class NetworkConfig:
             sizes = getattr(self, name)
             if not sizes or min(sizes) < 1:
                 raise ConfigError(f"{where}.{name}={sizes} must be a list of layer sizes, each at least 1")
+            if self.symmetric and any(size % 2 for size in sizes):
+                raise ConfigError(f"{where}.{name}={sizes} must be even numbers with {where}.symmetric=true")
         if self.activation not in ACTIVATIONS:
             raise ConfigError(f"{where}.activation={self.activation} must be one of {', '.join(ACTIVATIONS)}")
         if not 0 < self.min_std <= self.init_std <= self.max_std:
@@ -105,12 +111,14 @@ class BoundedNormalScale(nn.Module):
     Args:
         size: Actions.
         config: Bounds and start.
+        mirror: Mirror image of the actions, if both are to have the same deviation.
     """
 
     high: Tensor
 
-    def __init__(self, size: int, config: NetworkConfig):
+    def __init__(self, size: int, config: NetworkConfig, mirror: Mirror | None = None):
         super().__init__()
+        self._mirror = mirror
         self._low, span = config.min_std, config.max_std - config.min_std
         share = (config.init_std - self._low) / span if span else 0.5
         share = min(max(share, 1e-3), 1 - 1e-3)
@@ -123,7 +131,10 @@ class BoundedNormalScale(nn.Module):
 
     def forward(self, loc: Tensor) -> tuple[Tensor, Tensor]:
         """``[..., size]`` means to means and standard deviations."""
-        std = self._low + (self.high - self._low) * torch.sigmoid(self.parameter)
+        parameter: Tensor = self.parameter
+        if self._mirror is not None:
+            parameter = (parameter + parameter[self._mirror.permutation]) / 2
+        std = self._low + (self.high - self._low) * torch.sigmoid(parameter)
         return loc, std.expand_as(loc)
 
 
@@ -147,6 +158,8 @@ class ActorCritic(nn.Module):
         observation: Values in ``observation``.
         privileged: Values in ``privileged``.
         actions: Values in ``action``.
+        mirrors: Mirror images of ``observation``, ``privileged`` and ``action``, for symmetric networks; they are
+            saved with the weights, so that networks whose weights are loaded need none.
 
     Attributes:
         config: Sizes.
@@ -159,26 +172,39 @@ class ActorCritic(nn.Module):
     actor_keys = ("observation",)
     critic_keys = ("observation", "privileged")
 
-    def __init__(self, config: NetworkConfig, observation: int, privileged: int, actions: int = 12):
+    def __init__(
+        self,
+        config: NetworkConfig,
+        observation: int,
+        privileged: int,
+        actions: int = 12,
+        mirrors: tuple[Mirror, Mirror, Mirror] | None = None,
+    ):
         super().__init__()
         config.validate()
         self.config = config
         sizes = (observation, observation + privileged)
+        seen, hidden, acts = mirrors or map(Mirror.same, (observation, privileged, actions))
+        images = (seen, Mirror.joined(seen, hidden))
+        self._images = nn.ModuleList(images if config.symmetric else ())
         normalizers = [RunningNormalizer(size) for size in sizes] if config.normalize else []
         self.normalizers = nn.ModuleList(normalizers)
 
-        def network(which: int, cells: list[int], out: int) -> MLP:
-            return MLP(sizes[which], out, num_cells=cells, activation_class=ACTIVATIONS[config.activation])
+        def network(which: int, cells: list[int], after: Mirror) -> nn.Sequential:
+            activation = ACTIVATIONS[config.activation]
+            if config.symmetric:
+                return symmetric_mlp(images[which], after, cells, activation)
+            return MLP(sizes[which], len(after.signs), num_cells=cells, activation_class=activation)
 
-        means = network(0, list(config.actor), actions)
+        means = network(0, list(config.actor), acts)
         with torch.no_grad():
             # The first actions are the default pose: a robot that stands learns sooner than one that twitches.
             *_, last = (layer for layer in means if isinstance(layer, nn.Linear))
             last.weight.mul_(0.01)
             last.bias.zero_()
         policy = nn.Sequential(*normalizers[:1], means)
-        value = nn.Sequential(*normalizers[1:], network(1, list(config.critic), 1))
-        deviation = BoundedNormalScale(actions, config)
+        value = nn.Sequential(*normalizers[1:], network(1, list(config.critic), Mirror.same(1)))
+        deviation = BoundedNormalScale(actions, config, acts if config.symmetric else None)
         self.limit_std = deviation.limit
         self.actor = ProbabilisticActor(
             TensorDictModule(nn.Sequential(policy, deviation), ["observation"], ["loc", "scale"]),
@@ -195,9 +221,10 @@ class ActorCritic(nn.Module):
 
     def observe(self, batch: TensorDictBase) -> None:
         """Let the normalisers take a batch into account."""
-        for normalizer, keys in zip(self.normalizers, (self.actor_keys, self.critic_keys)):
+        for which, (normalizer, keys) in enumerate(zip(self.normalizers, (self.actor_keys, self.critic_keys))):
             assert isinstance(normalizer, RunningNormalizer)
-            normalizer.observe(torch.cat([batch[key] for key in keys], -1))
+            values = torch.cat([batch[key] for key in keys], -1)
+            normalizer.observe(torch.cat((values, self._images[which](values))) if self._images else values)
 
     def forget(self) -> None:
         """Let the next batch that is observed replace the normalisers' statistics."""

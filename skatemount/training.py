@@ -15,19 +15,20 @@ from torchrl.collectors import Collector
 
 from skatemount import checkpoint
 from skatemount import config as configuration
-from skatemount.agent import MODULE, Agent, check_contract, load_weights, make_card
+from skatemount.agent import JOINTS, MODULE, Agent, check_contract, load_weights, make_card
 from skatemount.benchmark.evaluation import EVALUATION_SEED, NUM_WORLDS, Evaluator
 from skatemount.benchmark.results import Evaluation
 from skatemount.config import Config
 from skatemount.curriculum.base import make_curriculum
 from skatemount.envs import MountEnv, MountTask
+from skatemount.envs.mirror import mirror_map
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.errors import ConfigError
 from skatemount.loggers import MetricsLog, Progress, compact, plot_learning_curves
 from skatemount.losses.ppo import PPO
-from skatemount.losses.symmetry import Symmetry
 from skatemount.models import ActorCritic
 from skatemount.runs import RunFolder, find_checkpoint
+from skatemount.symmetric import Mirror
 
 
 def set_torch_threads(config: Config) -> None:
@@ -99,14 +100,16 @@ class Trainer:
         collector = config.collector
         self.env = MountEnv(self.task, seed=config.seed, random_phase=collector.random_phase, enough=collector.enough)
         mdp = self.env.mdp
-        self.networks = ActorCritic(config.network, mdp.observation.size, mdp.privileged.size)
-        symmetry = Symmetry.of(mdp) if config.algorithm.symmetry != "none" else None
+        seen, hidden = mdp.observation, mdp.privileged
+        mirrors = None
+        if config.network.symmetric:
+            mirrors = Mirror(*seen.mirror()), Mirror(*hidden.mirror()), Mirror(*mirror_map("joints", len(JOINTS)))
+        self.networks = ActorCritic(config.network, seen.size, hidden.size, len(JOINTS), mirrors)
         self._order = torch.Generator().manual_seed(config.seed)
         self.ppo = PPO(
             config.algorithm,
             self.networks,
             mdp.context.control_step,
-            symmetry,
             bf16=config.precision == "bf16",
             generator=self._order,
         )
@@ -144,7 +147,7 @@ class Trainer:
             return None
         agent = Agent.load(spec, self.config.logger.root, "init_from")
         check_contract(agent.card, self.task, f"init_from={spec}")
-        for name in ("actor", "critic", "activation", "normalize"):
+        for name in ("actor", "critic", "activation", "normalize", "symmetric"):
             theirs, ours = (getattr(config.network, name) for config in (agent.config, self.config))
             if theirs != ours:
                 raise ConfigError(

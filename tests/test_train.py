@@ -263,7 +263,7 @@ def test_what_is_not_finite_ends_the_run(tmp_path: Path, monkeypatch: pytest.Mon
     assert left.latest is not None and left.latest.name == f"step_{2 * BATCH:012d}"  # the last good one
 
 
-@pytest.mark.parametrize("option", ["precision=bf16", "algorithm.symmetry=augment", "network.normalize=false"])
+@pytest.mark.parametrize("option", ["precision=bf16", "network.symmetric=false", "network.normalize=false"])
 def test_options_run(option: str, tmp_path: Path) -> None:
     left = run(tmp_path, option, "init_from=null", *SILENT, stage="unfixed", frames=BATCH)
     assert left.latest is not None

@@ -333,7 +333,7 @@ class ObservationTable:
         for name, kind, size in self._mirrors:
             if kind is None:
                 raise ConfigError(
-                    f"observation term {name} has no left-right mirror image: choose another or algorithm.symmetry=none"
+                    f"observation term {name} has no left-right mirror image: choose another or network.symmetric=false"
                 )
             permutation, sign = mirror_map(kind, size)
             permutations.append(permutation + start)

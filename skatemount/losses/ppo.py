@@ -15,10 +15,7 @@ from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR
 from torchrl.objectives.value import GAE
 
 from skatemount.errors import ConfigError
-from skatemount.losses.symmetry import Symmetry
 from skatemount.models import ActorCritic
-
-SYMMETRIES = ("none", "augment", "flip")
 
 
 @dataclass
@@ -40,8 +37,6 @@ class AlgorithmConfig:
         horizon: Seconds over which rewards are discounted: gamma = exp(-control step / horizon).
         trace: Seconds over which GAE looks ahead: lambda = exp(-control step / trace).
         max_grad_norm: Largest norm of the gradient.
-        symmetry: ``none``; ``augment``: learn from the mirror image of every step as well; ``flip``: learn from the
-            mirror image of every other step instead, chosen anew in each epoch, which costs nothing.
         final_std: What the upper bound of the actions' standard deviation falls to, from ``network.max_std``; null
             leaves it there.
         std_frames: Frames until it is there; it falls by the same share in each.
@@ -60,7 +55,6 @@ class AlgorithmConfig:
     horizon: float = 2.0
     trace: float = 0.4
     max_grad_norm: float = 1.0
-    symmetry: str = "none"
     final_std: float | None = None
     std_frames: int = 10_000_000
 
@@ -82,8 +76,6 @@ class AlgorithmConfig:
         for name in ("value_coeff", "entropy_coeff"):
             if not getattr(self, name) >= 0:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be 0 or more")
-        if self.symmetry not in SYMMETRIES:
-            raise ConfigError(f"{where}.symmetry={self.symmetry} must be one of {', '.join(SYMMETRIES)}")
 
 
 def _moments(distribution: IndependentNormal) -> tuple[Tensor, Tensor]:
@@ -98,7 +90,6 @@ class PPO:
         config: Hyper-parameters.
         networks: Actor and critic.
         control_step: Seconds between two actions.
-        symmetry: Mirror images, if the algorithm learns from them.
         bf16: Compute the updates' matrix products in bfloat16.
         generator: Source of the minibatches' order.
     """
@@ -108,13 +99,11 @@ class PPO:
         config: AlgorithmConfig,
         networks: ActorCritic,
         control_step: float,
-        symmetry: Symmetry | None = None,
         bf16: bool = False,
         generator: torch.Generator | None = None,
     ):
         self.config = config
         self.networks = networks
-        self._symmetry = symmetry if config.symmetry != "none" else None
         self._bf16 = bf16
         self._generator = generator
         self.loss = ClipPPOLoss(
@@ -240,9 +229,6 @@ class PPO:
                 raise FloatingPointError(f"{name} is not finite in {int((~finite).sum())} of {len(finite)} worlds")
 
     def _step(self, part: TensorDictBase) -> dict[str, Tensor]:
-        if self._symmetry is not None:
-            images = self._symmetry.augment if self.config.symmetry == "augment" else self._symmetry.flip
-            part = images(part)
         with self._autocast():
             losses = self.loss(part)
         total = sum(value for name, value in losses.items() if name.startswith("loss_"))

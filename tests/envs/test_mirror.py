@@ -43,7 +43,7 @@ def test_observations_mirrored_twice_are_the_same(name: str, part: str, context:
     table = ObservationTable(terms, context)
     if name == "paper" and part == "policy":
         # Its yaw jumps, and its walk around the deck overshoots to one side only.
-        with pytest.raises(ConfigError, match=r"board_yaw .* algorithm\.symmetry=none"):
+        with pytest.raises(ConfigError, match=r"board_yaw .* network\.symmetric=false"):
             table.mirror()
         return
     permutation, signs = table.mirror()

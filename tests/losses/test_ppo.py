@@ -1,4 +1,4 @@
-"""PPO: advantages against a plain loop, the learning rate, safety, symmetry, and that it learns."""
+"""PPO: advantages against a plain loop, the learning rate, safety, and that it learns."""
 
 from __future__ import annotations
 
@@ -12,20 +12,10 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from skatemount.losses.ppo import PPO, AlgorithmConfig
-from skatemount.losses.symmetry import Symmetry
 from skatemount.models import ActorCritic, NetworkConfig
 
 STEP = 0.04
 OBSERVATION, PRIVILEGED, ACTIONS = 6, 3, 4
-
-# Every odd number changes its sign, and pairs change places.
-SYMMETRY = Symmetry(
-    {
-        "observation": (torch.tensor([0, 2, 1, 3, 5, 4]), torch.tensor([1.0, -1, -1, 1, 1, 1])),
-        "privileged": (torch.tensor([0, 1, 2]), torch.tensor([1.0, -1, 1])),
-        "action": (torch.tensor([1, 0, 3, 2]), torch.tensor([-1.0, -1, 1, 1])),
-    }
-)
 
 
 def make_networks(seed: int = 0, **settings: Any) -> ActorCritic:
@@ -39,7 +29,7 @@ def make(
 ) -> PPO:
     order = order or torch.Generator().manual_seed(7)
     config = AlgorithmConfig(**settings)
-    return PPO(config, networks or make_networks(), STEP, SYMMETRY, bf16=bf16, generator=order)
+    return PPO(config, networks or make_networks(), STEP, bf16=bf16, generator=order)
 
 
 def flags(n: int, t: int, share: float, generator: torch.Generator) -> Tensor:
@@ -183,11 +173,10 @@ def test_learning_rate_stays_without_a_target() -> None:
     assert ppo.learning_rate == 2e-3
 
 
-@pytest.mark.parametrize("symmetry", ["none", "augment", "flip"])
-def test_it_learns(symmetry: str) -> None:
+def test_it_learns() -> None:
     """Actions that are to be 0.5 everywhere, with a reward that says how far off they are."""
-    ppo = make(learning_rate=5e-3, target_kl=None, epochs=2, entropy_coeff=0.0, symmetry=symmetry)
-    target = torch.tensor([0.5, -0.5, 0.5, 0.5])  # its own mirror image
+    ppo = make(learning_rate=5e-3, target_kl=None, epochs=2, entropy_coeff=0.0)
+    target = torch.tensor([0.5, -0.5, 0.5, 0.5])
     rewards = []
     for i in range(25):
         batch = collect(ppo.networks, n=64, t=8, seed=i)
@@ -226,61 +215,6 @@ def test_loss_that_is_not_finite_changes_no_weight() -> None:
     with pytest.raises(FloatingPointError, match="not finite"):
         ppo.update(batch)
     assert all(torch.equal(a, b) for a, b in zip(before, ppo.networks.parameters()))
-
-
-def loss_of(ppo: PPO, batch: TensorDict) -> float:
-    with torch.no_grad():
-        losses = ppo.loss(batch)
-    return float(losses["loss_objective"] + losses["loss_critic"])
-
-
-def test_symmetry_doubles_the_batch_with_mirror_images() -> None:
-    ppo = make(entropy_coeff=0.0)
-    batch = collect(ppo.networks)
-    ppo.update(batch)  # fills in advantages and values
-    rows = batch.select(
-        "observation", "privileged", "action", "action_log_prob", "advantage", "value_target", "state_value"
-    ).flatten(0, 1)
-    both = SYMMETRY.augment(rows)
-    n = rows.shape[0]
-    assert both.shape == (2 * n,)
-    assert torch.equal(both["observation"][:n], rows["observation"])
-    mirrored = rows["observation"][:, [0, 2, 1, 3, 5, 4]] * torch.tensor([1.0, -1, -1, 1, 1, 1])
-    assert torch.equal(both["observation"][n:], mirrored)
-    assert torch.equal(both["privileged"][n:, 1], -rows["privileged"][:, 1])
-    assert torch.equal(both["action"][n:, 0], -rows["action"][:, 1])
-    for key in ("action_log_prob", "advantage", "value_target", "state_value"):
-        assert torch.equal(both[key][n:], rows[key])
-
-    # Whether the mirror shows the original or the other way around makes no difference.
-    image = both[n:]
-    assert loss_of(ppo, SYMMETRY.augment(image)) == pytest.approx(loss_of(ppo, both), rel=1e-5)
-    assert loss_of(ppo, image) != pytest.approx(loss_of(ppo, rows), rel=1e-3)
-
-
-def test_flip_takes_every_other_image() -> None:
-    rows = collect(make().networks).flatten(0, 1).select("observation", "privileged", "action")
-    some = SYMMETRY.flip(rows)
-    for key in rows.keys():
-        assert torch.equal(some[key][1::2], rows[key][1::2])
-        assert torch.equal(some[key][::2], SYMMETRY.mirror(key, rows[key][::2]))
-
-
-def test_symmetry_makes_the_policy_symmetric() -> None:
-    """A reward that asks for two different things of mirrored actions ends in the middle only with symmetry."""
-    asymmetry = {}
-    for symmetry in ("none", "augment", "flip"):
-        ppo = make(learning_rate=5e-3, target_kl=None, epochs=2, entropy_coeff=0.0, symmetry=symmetry)
-        for i in range(12):
-            batch = collect(ppo.networks, n=64, t=8, seed=i)
-            batch["next", "reward"] = batch["action"][..., :1] + batch["action"][..., 1:2]  # changes sign in the mirror
-            batch["next", "terminated"][:] = batch["next", "done"][:] = True
-            ppo.update(batch)
-        rows = collect(ppo.networks, seed=99).flatten(0, 1).select("observation", "privileged", "action")
-        both = ppo.networks.actor(SYMMETRY.augment(rows))["loc"].detach()
-        n = rows.shape[0]
-        asymmetry[symmetry] = float((SYMMETRY.mirror("action", both[:n]) - both[n:]).abs().mean())
-    assert max(asymmetry["augment"], asymmetry["flip"]) < 0.5 * asymmetry["none"]
 
 
 def test_goes_on_from_a_saved_state_bit_for_bit() -> None:
