@@ -20,6 +20,7 @@ from skatemount.benchmark.evaluation import EVALUATION_SEED, NUM_WORLDS, Evaluat
 from skatemount.benchmark.results import Evaluation
 from skatemount.config import Config
 from skatemount.curriculum.base import make_curriculum
+from skatemount.curriculum.harvest import Harvest
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.mirror import mirror_map
 from skatemount.envs.physics.cpu import available_cores
@@ -117,6 +118,8 @@ class Trainer:
         if self.curriculum is not None:
             self.env.listeners.append(self.curriculum.record)
             self.env.place_starts(self.curriculum.place)
+        if config.curriculum.harvest:
+            Harvest(self.env, config.curriculum.harvest)
         self.frames = self.iteration = 0
         self.elapsed = 0.0
         self._evaluator: Evaluator | None = None

@@ -28,6 +28,32 @@ def quat_to_matrix(quat: Tensor) -> Tensor:
     return torch.stack(entries, -1).unflatten(-1, (3, 3))
 
 
+def quat_from_matrix(matrix: Tensor) -> Tensor:
+    """Unit quaternions of rotation matrices, the inverse of `quat_to_matrix` up to sign.
+
+    Of the four ways to solve for a quaternion, the one that divides by its largest component (Shepperd, "Quaternion
+    from Rotation Matrix", 1978).
+
+    Args:
+        matrix: ``[..., 3, 3]``.
+
+    Returns:
+        ``[..., 4]``, ``w x y z``.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in matrix.unbind(-2))
+    # 4 q q^T: each row is the quaternion times four of its components.
+    rows = (
+        (1 + a + e + i, h - f, c - g, d - b),
+        (h - f, 1 + a - e - i, b + d, c + g),
+        (c - g, b + d, 1 - a + e - i, f + h),
+        (d - b, c + g, f + h, 1 - a - e + i),
+    )
+    products = torch.stack([torch.stack(row, -1) for row in rows], -2)
+    largest = products.diagonal(dim1=-2, dim2=-1).argmax(-1)
+    chosen = products.gather(-2, largest[..., None, None].expand(*largest.shape, 1, 4)).squeeze(-2)
+    return chosen / torch.linalg.vector_norm(chosen, dim=-1, keepdim=True)
+
+
 def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
     """Hamilton product: the rotation ``b`` followed by the rotation ``a``.
 

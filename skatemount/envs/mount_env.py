@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 from skatemount.envs.mdp import Outcome
 from skatemount.envs.physics.base import Physics, make_physics
 from skatemount.envs.randomization import Pushes, Randomizer
-from skatemount.envs.starts import Place, StartQueue
+from skatemount.envs.starts import Change, Place, StartQueue
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.statistics import EpisodeStatistics
 from skatemount.envs.task import MountTask
@@ -72,6 +72,7 @@ class MountEnv(EnvBase):
         self.statistics = EpisodeStatistics(self.mdp, n)
         self.listeners: list[Listener] = [self.statistics.add]
         self._place: Place | None = None
+        self._change: Change | None = None
         self._sim: SimState | None = None
         self._substeps = config.substeps
         self._random_phase = random_phase
@@ -112,7 +113,7 @@ class MountEnv(EnvBase):
         """Begin anew from a seed: randomised physics, queued starts, pushes and noise alike."""
         self.generator.manual_seed(0 if seed is None else int(seed))
         config, n = self.task.config, self.num_worlds
-        self._queue = StartQueue(self.task.make_sampler(self._place), max(n, 1024), self.generator)
+        self._draw_starts_anew()
         self._pushes = Pushes(config.randomization, n, self.mdp.context.control_step, self.generator)
         physics = self.physics
         self._randomizer = Randomizer(config.randomization, physics.index, physics.model, self.generator)
@@ -162,7 +163,20 @@ class MountEnv(EnvBase):
                 changes, as starts are drawn ahead.
         """
         self._place = place
-        self._queue = StartQueue(self.task.make_sampler(place), max(self.num_worlds, 1024), self.generator)
+        self._draw_starts_anew()
+
+    def change_starts(self, change: Change) -> None:
+        """Let something make other starts of those that are drawn, from the next one that is drawn on.
+
+        Args:
+            change: Takes and returns starts.
+        """
+        self._change = change
+        self._draw_starts_anew()
+
+    def _draw_starts_anew(self) -> None:
+        sampler = self.task.make_sampler(self._place)
+        self._queue = StartQueue(sampler, max(self.num_worlds, 1024), self.generator, self._change)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict["action"]

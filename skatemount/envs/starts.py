@@ -120,6 +120,7 @@ class Placement:
 
 
 Place = Callable[[int, torch.Generator], Placement]
+Change = Callable[[WorldStart, torch.Generator], WorldStart]
 
 
 class StartSampler:
@@ -304,12 +305,14 @@ class StartQueue:
         sampler: Where starts come from.
         size: How many are drawn at a time.
         generator: Source of randomness.
+        change: Makes other starts of those that were drawn.
     """
 
-    def __init__(self, sampler: StartSampler, size: int, generator: torch.Generator):
+    def __init__(self, sampler: StartSampler, size: int, generator: torch.Generator, change: Change | None = None):
         self._sampler = sampler
         self._size = size
         self._generator = generator
+        self._change = change
         self._starts: WorldStart | None = None
         self._next = 0
 
@@ -325,6 +328,8 @@ class StartQueue:
         count = int(mask.sum())
         while self._starts is None or self._next + count > len(self._starts):
             more = self._sampler.draw(self._size, self._generator)
+            if self._change is not None:
+                more = self._change(more, self._generator)
             # What is left is taken first: no start is skipped, whichever worlds ask for how many.
             self._starts = more if self._starts is None else WorldStart.cat([self._starts[self._next :], more])
             self._next = 0

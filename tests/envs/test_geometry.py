@@ -10,6 +10,7 @@ from torch import Tensor
 
 from skatemount.envs.geometry import (
     quat_from_euler,
+    quat_from_matrix,
     quat_multiply,
     quat_to_matrix,
     rotate,
@@ -39,6 +40,14 @@ def test_products_are_the_engines() -> None:
     for row, left, right in zip(expected, a.double().numpy(), b.double().numpy()):
         mujoco.mju_mulQuat(row, left, right)
     torch.testing.assert_close(quat_multiply(a, b), torch.from_numpy(expected).float(), atol=1e-6, rtol=0)
+
+
+def test_matrices_give_their_quaternions_back() -> None:
+    # Half turns about each axis among them, where a component is 0.
+    quats = torch.cat((random_quats(200), torch.eye(4), torch.tensor([[0.0, 0.6, 0.8, 0.0]])))
+    back = quat_from_matrix(quat_to_matrix(quats))
+    same = back * torch.sign((back * quats).sum(-1, keepdim=True))
+    torch.testing.assert_close(same, quats, atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize("shape", [(), (5,), (2, 3)])

@@ -159,6 +159,15 @@ class WorldStart:
         """Join batches of starts."""
         return WorldStart(**{name: torch.cat([getattr(p, name) for p in parts]) for name in vars(parts[0])})
 
+    @staticmethod
+    def where(mask: Tensor, first: WorldStart, second: WorldStart) -> WorldStart:
+        """The first's rows where the ``[N]`` mask is true, the second's elsewhere."""
+
+        def choose(a: Tensor, b: Tensor) -> Tensor:
+            return torch.where(mask.view(-1, *[1] * (a.dim() - 1)), a, b)
+
+        return WorldStart(**{name: choose(value, getattr(second, name)) for name, value in vars(first).items()})
+
 
 def _cpu(scene: Scene, num_worlds: int, threads: int) -> Physics:
     from skatemount.envs.physics.cpu import CpuPhysics

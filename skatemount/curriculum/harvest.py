@@ -1,0 +1,107 @@
+"""Half-mounted states met in rollouts, as starts: the robot practises what comes next without getting there first."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from skatemount.envs import success
+from skatemount.envs.geometry import quat_from_matrix, rotate
+from skatemount.envs.mdp import Outcome
+from skatemount.envs.mount_env import MountEnv
+from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.state import EpisodeState, SimState
+
+SIZE = 4096
+"""States kept; a new one takes the place of the oldest."""
+PER_STEP = 16
+"""Most states taken from one control step, so that what is kept comes from many moments."""
+MAX_TILT = math.radians(5.0)
+"""Of the deck: boards start level, and the robot's feet must still be where they were."""
+
+
+def half_mounted(sim: SimState, episode: EpisodeState) -> Tensor:
+    """Whether one to three feet press on a deck that is level, under an upright robot, ``[N]`` bool.
+
+    Args:
+        sim: The state.
+        episode: The episodes.
+    """
+    feet = episode.on_deck.sum(1)
+    upright = -sim.gravity[:, 2] > math.cos(success.MAX_TRUNK_TILT)
+    return (feet > 0) & (feet < 4) & upright & (success.deck_level(sim) > math.cos(MAX_TILT))
+
+
+def as_starts(sim: SimState, deck_height: float) -> WorldStart:
+    """States as starts: robot and board moved together to where boards start, level and along the x axis.
+
+    Args:
+        sim: ``[N]`` states.
+        deck_height: Of the board at rest, m.
+
+    Returns:
+        ``[N]``; no wrench, and part of no curriculum.
+    """
+    n = len(sim.base_pos)
+    to_board = sim.board_rot.transpose(-1, -2)
+    turned = to_board @ sim.base_rot
+    position = rotate(to_board, sim.base_pos - sim.board_pos)
+    position[:, 2] += deck_height
+    return WorldStart(
+        base_pos=position,
+        base_quat=quat_from_matrix(turned),
+        base_lin_vel=rotate(turned, sim.base_lin_vel),
+        base_ang_vel=sim.base_ang_vel.clone(),
+        joint_pos=sim.joint_pos.clone(),
+        joint_vel=sim.joint_vel.clone(),
+        ground_height=sim.ground_height.clone(),
+        board_fixed=sim.board_fixed.clone(),
+        board_speed=rotate(to_board, sim.board_lin_vel)[:, 0] * ~sim.board_fixed,
+        force=torch.zeros(n, 3),
+        torque=torch.zeros(n, 3),
+        bin=torch.full((n,), -1),
+    )
+
+
+class Harvest:
+    """Collects half-mounted states of an environment, and lets a share of its starts be such states.
+
+    It is filled anew after a resume, within an iteration or two.
+
+    Args:
+        env: The environment; it is listened to, and its starts are changed from the next draw on.
+        share: Of the starts.
+    """
+
+    def __init__(self, env: MountEnv, share: float):
+        self._env, self._share = env, share
+        self._kept: WorldStart | None = None
+        env.listeners.append(self.record)
+        env.change_starts(self.mix)
+
+    def record(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
+        """Keep some of a step's half-mounted states; a listener of `MountEnv`."""
+        env = self._env
+        rows = (half_mounted(env.sim, episode) & ~done).nonzero().flatten()
+        if not len(rows):
+            return
+        rows = rows[torch.randperm(len(rows), generator=env.generator)[:PER_STEP]]
+        new = as_starts(env.sim[rows], env.task.scene.deck_height)
+        self._kept = new if self._kept is None else WorldStart.cat([self._kept, new])[-SIZE:]
+
+    def mix(self, starts: WorldStart, generator: torch.Generator) -> WorldStart:
+        """Put kept states in the place of a share of starts; a constant wrench on the trunk stays.
+
+        Args:
+            starts: As drawn.
+            generator: Source of randomness.
+        """
+        if self._kept is None:
+            return starts
+        n = len(starts)
+        replaced = torch.rand(n, generator=generator) < self._share
+        picked = self._kept[torch.randint(len(self._kept), (n,), generator=generator)]
+        picked.force, picked.torque = starts.force, starts.torque
+        return WorldStart.where(replaced, picked, starts)
