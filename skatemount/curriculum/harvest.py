@@ -88,7 +88,8 @@ class Harvest:
         if not len(rows):
             return
         rows = rows[torch.randperm(len(rows), generator=env.generator)[:PER_STEP]]
-        new = as_starts(env.sim[rows], env.task.scene.deck_height)
+        # Mypy does not see tensorclass's own.
+        new = as_starts(env.sim[rows], env.task.scene.deck_height)  # type: ignore[index]
         self._kept = new if self._kept is None else WorldStart.cat([self._kept, new])[-SIZE:]
 
     def mix(self, starts: WorldStart, generator: torch.Generator) -> WorldStart:
