@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -110,9 +111,15 @@ class Comparison:
             name = [f"logger.name={method}_seed{seed}", "logger.experiment=compare", root]
             arguments = [*METHODS[method], *self._overrides, f"seed={seed}", f"total_frames={self.frames}", *name]
             arguments += self._logger(method)
-        ended = subprocess.run([sys.executable, "-m", "skatemount.train", *arguments])
-        if ended.returncode:
-            sys.exit(f"{method}, seed {seed} ended with status {ended.returncode}: start again to go on")
+        training = subprocess.Popen([sys.executable, "-m", "skatemount.train", *arguments])
+        # It leaves a checkpoint when it is asked to end.
+        before = signal.signal(signal.SIGTERM, lambda *_: training.terminate())
+        try:
+            status = training.wait()
+        finally:
+            signal.signal(signal.SIGTERM, before)
+        if status:
+            sys.exit(f"{method}, seed {seed} ended with status {status}: start again to go on")
 
     def _logger(self, method: str) -> list[str]:
         config = configuration.compose("forward", self._overrides)

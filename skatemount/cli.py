@@ -16,6 +16,20 @@ from skatemount import config as configuration
 from skatemount.config import Config
 from skatemount.errors import ConfigError
 
+_BELONGS_TO = {
+    **dict.fromkeys(("init_from", "resume"), ("train",)),
+    **dict.fromkeys(("checkpoint", "pipeline", "handover", "suite", "output"), ("evaluate", "record")),
+    **dict.fromkeys(("episodes", "json"), ("evaluate",)),
+    "episode": ("record",),
+}
+"""Settings that other programs do not look at."""
+
+_INSTEAD = {
+    ("train", "checkpoint"): "training starts from init_from=<policy>, or goes on with resume=<run>",
+    ("record", "episodes"): "episode=<number> says which one to film",
+    ("evaluate", "episode"): "episodes=<number> says how many to evaluate",
+}
+
 
 def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
     """Compose the settings from the command line and run a verb on them; `-m` runs it once a combination.
@@ -37,6 +51,7 @@ def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
     def application(composed: DictConfig) -> None:
         overrides = list(HydraConfig.get().overrides.task)
         try:
+            _check_program(name, overrides)
             verb(configuration.to_object(composed), overrides)
         except (ConfigError, FloatingPointError, OSError) as error:
             # Caught here because Hydra would print a line of its own first.
@@ -62,6 +77,16 @@ def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
         if isinstance(error, ConfigError | OSError) or _from_hydra(error):
             fail(error)
         raise
+
+
+def _check_program(name: str, overrides: list[str]) -> None:
+    """Refuse a setting that this program would ignore."""
+    for override in overrides:
+        key = override.lstrip("+~").partition("=")[0]
+        programs = _BELONGS_TO.get(key, (name,))
+        if name not in programs:
+            instead = f"; {_INSTEAD[name, key]}" if (name, key) in _INSTEAD else ""
+            raise ConfigError(f"{override}: a setting of skatemount.{' and '.join(programs)} only{instead}")
 
 
 def _stage_first(arguments: list[str]) -> list[str]:

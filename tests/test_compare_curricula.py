@@ -86,7 +86,7 @@ def test_from_training_to_figure_and_not_twice(
     def no_more(*arguments: Any) -> None:
         raise AssertionError(f"done twice: {arguments}")
 
-    monkeypatch.setattr(script.subprocess, "run", no_more)
+    monkeypatch.setattr(script.subprocess, "Popen", no_more)
     monkeypatch.setattr(script, "count_successes", no_more)
     script.main()
     assert json.loads((tmp_path / "results.json").read_text()) == results

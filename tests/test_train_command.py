@@ -74,6 +74,11 @@ def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:
         (["+stage=mount", "init_from=runs/none", "physics.num_worlds=2"], "init_from='runs/none': not found"),
         (["+stage=mount", "init_from=pretrained:none", "physics.num_worlds=2"], "no such policy"),
         (["resume=runs/none"], "runs/none"),
+        (
+            ["+stage=mount", "checkpoint=latest"],
+            "of skatemount.evaluate and record only; training starts from init_from",
+        ),
+        (["+stage=mount", "suite=far"], "suite=far: a setting of skatemount.evaluate and record only"),
         (["-m", "+stage=balance,mouunt"], "stage=mouunt is not a stage"),
     ],
 )
