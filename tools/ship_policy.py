@@ -43,7 +43,7 @@ def main() -> None:
     card = agent.card
     card.suites = {name: result.to_dict(failed_episodes=False) for name, result in results.items()}
     # Where runs lay on the machine that trained it concerns nobody else.
-    card.config["logger"]["root"] = "runs"
+    card.config["logger"]["root"], card.config["resume"] = "runs", None
     card.notes = " ".join(filter(None, (f"Trained by: {options.command}.", options.notes, failure_modes(results))))
     folder = Path(skatemount.__file__).parent / "policies"
     folder.mkdir(exist_ok=True)

@@ -31,9 +31,19 @@ def feet_on_board_paper(sim: SimState, episode: EpisodeState, context: TaskConte
 
 
 @reward
-def mounted(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """1 while all four feet and nothing else are on the deck, by the definition of success (ours)."""
-    return episode.mounted.to(sim.base_pos.dtype)
+def mounted(sim: SimState, episode: EpisodeState, context: TaskContext, ramp: float = 0.0) -> Tensor:
+    """1 while all four feet and nothing else are on the deck, by the definition of success (ours).
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        ramp: Seconds over which it grows from 0 to 1 while the robot stands there, s: a stance that is kept is then
+            worth more than one that is left and taken up again. 0 gives all of it at once.
+    """
+    if ramp <= 0:
+        return episode.mounted.to(sim.base_pos.dtype)
+    return (episode.mounted_time / ramp).clamp(max=1.0)
 
 
 @reward
