@@ -186,7 +186,7 @@ def test_mistakes_are_one_line_that_names_the_setting(
         ("algorithm.learning_rate", math.nan, ["algorithm.learning_rate=nan", "above 0"]),
         ("algorithm.entropy_coeff", -1, ["algorithm.entropy_coeff=-1", "0 or more"]),
         ("algorithm.min_learning_rate", 1, ["algorithm.min_learning_rate=1", "max_learning_rate"]),
-        ("network", {"symmetric": True, "actor": [64, 33]}, ["network.actor=[64, 33]", "even"]),
+        ("network.actor", [64, 33], ["network.actor=[64, 33]", "even", "network.symmetric=true"]),
         ("algorithm.minibatches", 0, ["algorithm.minibatches=0", "at least 1"]),
         ("collector.steps", 0, ["collector.steps=0", "at least 1"]),
         ("logger.checkpoint_every", 0, ["logger.checkpoint_every=0", "at least 1"]),

@@ -146,10 +146,11 @@ def test_a_stage_may_take_its_own_statistics(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(PPO, "update", spy)
     given = [*TWO, f"total_frames={4 * BATCH}"]
     old = command(tmp_path / "a", *given, "curriculum.stages.balance.renormalize=false")
-    assert learned == [f"{i * BATCH:.1f}" for i in (0, 1, 2, 3)]
+    # A state and its mirror image count.
+    assert learned == [f"{2 * i * BATCH:.1f}" for i in (0, 1, 2, 3)]
     learned.clear()
     new = command(tmp_path / "b", *given, "curriculum.stages.mount.renormalize=true")
-    assert learned == [f"{i * BATCH:.1f}" for i in (0, 1, 1)]
+    assert learned == [f"{2 * i * BATCH:.1f}" for i in (0, 1, 1)]
     counts = [weights(run.path)["normalizers.1.count"] for run in (old, new)]
     assert counts == [4 * BATCH, 2 * BATCH]
 
