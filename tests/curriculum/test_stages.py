@@ -152,7 +152,7 @@ def test_a_stage_may_take_its_own_statistics(tmp_path: Path, monkeypatch: pytest
     new = command(tmp_path / "b", *given, "curriculum.stages.mount.renormalize=true")
     assert learned == [f"{2 * i * BATCH:.1f}" for i in (0, 1, 1)]
     counts = [weights(run.path)["normalizers.1.count"] for run in (old, new)]
-    assert counts == [4 * BATCH, 2 * BATCH]
+    assert counts == [8 * BATCH, 4 * BATCH]
 
 
 def test_a_gate_ends_a_stage_and_the_later_ones_get_what_is_left(
