@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -19,6 +19,9 @@ from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic
 from skatemount.provenance import package_versions
 from skatemount.runs import POLICIES, PRETRAINED, find_checkpoint
+
+if TYPE_CHECKING:
+    from skatemount.benchmark.pipeline import Policy
 
 MODULE = "networks"
 """Name of the `ActorCritic` among the modules of a policy file: ``save_policy(path, {MODULE: ...})``."""
@@ -70,7 +73,7 @@ class Agent:
         return cls(networks, config, card, path)
 
     @property
-    def policy(self) -> ActorCritic:
+    def policy(self) -> Policy:
         """What acts."""
         return self.networks
 

@@ -77,7 +77,7 @@ class PipelineAgent(Agent):
         return f"{self.walker.name}+{super().name}"
 
     @property
-    def policy(self) -> Relay:  # type: ignore[override]
+    def policy(self) -> Relay:
         """What acts."""
         return Relay(self.walker.networks, self.networks, self.handover)
 

@@ -11,8 +11,9 @@ from torch import Tensor
 from skatemount.config import compose
 from skatemount.curriculum.harvest import SIZE, Harvest, as_starts, half_mounted
 from skatemount.envs import MountEnv
-from skatemount.envs.geometry import rotate_inverse
+from skatemount.envs.geometry import rotate, rotate_inverse
 from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.state import SimState
 from skatemount.errors import ConfigError
 
 STARTS = ["start.x=[-0.2,0.2]", "start.y=[-0.2,0.2]", "start.yaw=[-3,3]", "start.board_fixed=0.5"]
@@ -27,8 +28,8 @@ def fidget(env: MountEnv, steps: int = 6) -> None:
         seen = env.step_mdp(env.step(seen))
 
 
-def velocity_on_board(sim: object) -> Tensor:
-    return rotate_inverse(sim.board_rot, torch.einsum("nij,nj->ni", sim.base_rot, sim.base_lin_vel))  # type: ignore[attr-defined]
+def velocity_on_board(sim: SimState) -> Tensor:
+    return rotate_inverse(sim.board_rot, rotate(sim.base_rot, sim.base_lin_vel))
 
 
 @pytest.fixture
