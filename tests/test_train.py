@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import torch
 import yaml
+from tiny import BATCH, SILENT, TINY
 
 from skatemount.agent import Agent
 from skatemount.checkpoint import list_checkpoints, load_training_state
@@ -24,22 +25,6 @@ from skatemount.train import train
 from skatemount.training import Trainer
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
-
-BATCH = 8 * 4
-TINY = [
-    "physics.num_worlds=8",
-    "collector.steps=4",
-    "network.actor=[16]",
-    "network.critic=[16]",
-    "physics.threads=1",
-    "torch_threads=1",
-    "episode_length=1.0",
-    "logger.evaluate_every=0",
-    "logger.final_episodes=0",
-    "logger.progress_every=0",
-]
-
-SILENT = ["logger.csv=false", "logger.tensorboard=false"]
 
 
 def run(root: Path, *overrides: str, stage: str = "balance", frames: int = 3 * BATCH) -> RunFolder:

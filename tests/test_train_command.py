@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import yaml
+from tiny import BATCH, TINY
 
 from skatemount import cli
 from skatemount.checkpoint import load_training_state
@@ -21,20 +22,6 @@ from skatemount.runs import RunFolder
 from skatemount.train import train
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
-
-BATCH = 8 * 4
-TINY = [
-    "physics.num_worlds=8",
-    "collector.steps=4",
-    "network.actor=[16]",
-    "network.critic=[16]",
-    "physics.threads=1",
-    "torch_threads=1",
-    "episode_length=1.0",
-    "logger.evaluate_every=0",
-    "logger.final_episodes=0",
-    "logger.progress_every=0",
-]
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import torch
+from tiny import BATCH, SILENT, TINY
 
 from skatemount.agent import Agent
 from skatemount.config import compose
@@ -23,20 +24,6 @@ from skatemount.training import Trainer
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
-BATCH = 8 * 4
-TINY = [
-    "physics.num_worlds=8",
-    "collector.steps=4",
-    "network.actor=[16]",
-    "network.critic=[16]",
-    "physics.threads=1",
-    "torch_threads=1",
-    "episode_length=1.0",
-    "logger.evaluate_every=0",
-    "logger.final_episodes=0",
-    "logger.csv=false",
-    "logger.tensorboard=false",
-]
 TWO = [
     "+curriculum=paper",
     "~curriculum.stages.gait",
@@ -52,7 +39,7 @@ EVALUATED = ["logger.evaluate_every=1", "logger.evaluate_episodes=4"]
 
 def command(root: Path, *overrides: str) -> RunFolder:
     """Run the verb, and return the newest run below the root."""
-    given = [*TINY, f"logger.root={root}", *overrides]
+    given = [*TINY, *SILENT, f"logger.root={root}", *overrides]
     if any(o.startswith("resume=") for o in given):
         may = ("logger.", "torch_threads", "physics.threads", "resume", "total_frames")
         given = [o for o in given if o.startswith(may) or o in overrides]
@@ -216,7 +203,7 @@ def test_stopped_in_the_middle_of_a_stage_it_goes_on(tmp_path: Path, monkeypatch
 
 
 def test_a_stage_without_a_checkpoint_begins_anew(tmp_path: Path) -> None:
-    given = [*TINY, f"logger.root={tmp_path}", *TWO, f"total_frames={2 * BATCH}"]
+    given = [*TINY, *SILENT, f"logger.root={tmp_path}", *TWO, f"total_frames={2 * BATCH}"]
     chain = Chain.begin(compose(None, given), given)
     started = Trainer(chain.parts[0].config, [], chain.run)  # and killed at once
     started.close()
