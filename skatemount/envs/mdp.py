@@ -65,8 +65,9 @@ class Mdp:
     def __init__(self, config: TaskConfig, scene: Scene, generator: torch.Generator):
         self.context = TaskContext.of(scene, config.episode_length)
         self.generator = generator
-        self.observation = ObservationTable(config.observation.policy, self.context, "observation.policy")
-        self.privileged = ObservationTable(config.observation.privileged, self.context, "observation.privileged")
+        seen = config.observation
+        self.observation = ObservationTable(seen.policy, self.context, "observation.policy", seen.history_length)
+        self.privileged = ObservationTable(seen.privileged, self.context, "observation.privileged")
         self.rewards = RewardTable(config.reward, self.context)
         self.terminations = TerminationTable(config.termination, self.context)
         self._commander = Commander(config.command, self.context.control_step, generator)
@@ -74,7 +75,7 @@ class Mdp:
         self.criterion = config.success
         self.enough = math.inf
         self._succeeded = success.CRITERIA[config.success]
-        self._noise = generator if config.observation.noise else None
+        self._noise = generator if seen.noise else None
         robot = scene.robot
         self._clip = robot.config.action_clip
         self._scale = torch.as_tensor(robot.action_scale, dtype=torch.float32)
@@ -100,7 +101,7 @@ class Mdp:
         Returns:
             ``[N]`` episodes at their start.
         """
-        fresh = EpisodeState.zeros(sim.base_pos.shape[0])
+        fresh = EpisodeState.zeros(sim.base_pos.shape[0], self.observation.size)
         if bins is not None:
             fresh.bin = bins
         distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
@@ -115,6 +116,7 @@ class Mdp:
         heading = (relative @ sim.base_rot[..., :1]).squeeze(-1)
         fresh.start = torch.cat((place[:, :2], torch.atan2(heading[:, 1:2], heading[:, :1])), 1)
         self._commander.update(sim, fresh)
+        fresh.seen = self.observation(sim, fresh, self._noise)
         return fresh
 
     def advance(self, sim: SimState, episode: EpisodeState, action: Tensor, diverged: Tensor) -> Outcome:
@@ -160,6 +162,7 @@ class Mdp:
         # What a failed world shows means nothing; one number that is not finite would spoil the whole batch.
         shares = torch.where(diverged, 0.0, shares)
         self._commander.update(sim, episode)
+        episode.seen = self.observation(sim, episode, self._noise, episode.seen)
         succeeded = truncated & self._succeeded(episode, step)
         return Outcome(shares.sum(0), shares, ends, terminated, truncated, succeeded)
 
@@ -177,4 +180,4 @@ class Mdp:
         Returns:
             ``[N, observation.size]``, with noise if it is on, and ``[N, privileged.size]``.
         """
-        return self.observation(sim, episode, self._noise), self.privileged(sim, episode)
+        return episode.seen, self.privileged(sim, episode)

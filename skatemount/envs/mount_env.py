@@ -118,7 +118,7 @@ class MountEnv(EnvBase):
         physics = self.physics
         self._randomizer = Randomizer(config.randomization, physics.index, physics.model, self.generator)
         self._randomizer.build_worlds(physics)
-        self._episode = EpisodeState.zeros(n)
+        self._episode = EpisodeState.zeros(n, self.mdp.observation.size)
         self._begun = False
         self.statistics.clear()
 

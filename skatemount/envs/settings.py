@@ -55,11 +55,14 @@ class ObservationConfig:
         policy: `ObservationTerm` by name, of the actor's observation, in order.
         privileged: Likewise, what only the critic sees besides.
         noise: Whether the policy's terms get their noise.
+        history_length: Frames of each of the policy's terms that does not say how many: the present one and those of
+            the control steps before it.
     """
 
     policy: dict[str, Any] = field(default_factory=dict)
     privileged: dict[str, Any] = field(default_factory=dict)
     noise: bool = True
+    history_length: int = 1
 
     def __post_init__(self) -> None:
         self.policy = _terms(ObservationTerm, self.policy, "observation.policy")
@@ -116,5 +119,11 @@ class TaskConfig:
         for registry, table in tables:
             for name, term in table.items():
                 registry.bind(name, term.params)
+        for name, term in self.observation.privileged.items():
+            if term.history_length not in (None, 1):
+                raise ConfigError(
+                    f"observation.privileged.{name}.history_length={term.history_length} must be null: only what the "
+                    "policy sees has a history"
+                )
         for part in ("robot", "board", "physics", "start", "command", "randomization"):
             getattr(self, part).validate(part)

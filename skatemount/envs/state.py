@@ -158,6 +158,7 @@ class EpisodeState:
         terminated: ``[N]`` bool, a termination ended the episode in this step.
         bin: ``[N]`` int64, the part of a curriculum that the start came from, -1 for none.
         start: ``[N, 3]`` x, y and yaw of the trunk in the board's frame at the start, m and rad.
+        seen: ``[N, O]`` what the policy sees now: the last frames of what it remembers included.
     """
 
     step: Tensor
@@ -179,10 +180,16 @@ class EpisodeState:
     terminated: Tensor
     bin: Tensor
     start: Tensor
+    seen: Tensor
 
     @classmethod
-    def zeros(cls, num_worlds: int) -> EpisodeState:
-        """Episodes of ``num_worlds`` worlds that are about to begin."""
+    def zeros(cls, num_worlds: int, observed: int = 0) -> EpisodeState:
+        """Episodes that are about to begin.
+
+        Args:
+            num_worlds: N.
+            observed: Values in the policy's observation.
+        """
         n = num_worlds
         f = torch.zeros
         return cls(
@@ -205,5 +212,6 @@ class EpisodeState:
             terminated=f(n, dtype=torch.bool),
             bin=torch.full((n,), -1),
             start=f(n, 3),
+            seen=f(n, observed),
             batch_size=[n],
         )

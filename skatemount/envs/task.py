@@ -54,9 +54,8 @@ class MountTask(composer.Task):
         self._generator = torch.Generator().manual_seed(0)
         self._mdp = self.make_mdp(self._generator)
         self._sampler = self.make_sampler()
-        self._episode = EpisodeState.zeros(1)
+        self._episode = EpisodeState.zeros(1, self._mdp.observation.size)
         self._outcome: Outcome | None = None
-        self._observed: tuple[Tensor, Tensor] | None = None
         self._sim: SimState | None = None
         self._pushes: Pushes | None = None
         self.set_timesteps(self.scene.solver.control_step, self.scene.solver.timestep)
@@ -114,7 +113,7 @@ class MountTask(composer.Task):
         """Note where the compiled scene keeps what, and its nominal values."""
         self._index = SceneIndex.of(self.scene, physics.model.ptr)
         self._nominal = copy.copy(physics.model.ptr)
-        self._observed = self._sim = None
+        self._sim = None
 
     def initialize_episode(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Draw a start state, and the randomised physics, and put the world into it."""
@@ -147,7 +146,7 @@ class MountTask(composer.Task):
         # Kept: what composer computes once more after a reset, with the actuators off, has other contact forces.
         self._sim = self._state(physics)
         self._episode = self._mdp.begin(self._sim)
-        self._outcome = self._observed = None
+        self._outcome = None
 
     def before_step(self, physics: Any, action: np.ndarray, random_state: np.random.RandomState) -> None:
         """Turn the action into joint position targets."""
@@ -176,7 +175,6 @@ class MountTask(composer.Task):
         diverged = torch.tensor([not np.isfinite(physics.data.qpos).all()])
         self._sim = self._state(physics)
         self._outcome = self._mdp.advance(self._sim, self._episode, self._action, diverged)
-        self._observed = None
 
     def get_reward(self, physics: Any) -> float:
         """The reward of the last step."""
@@ -191,11 +189,8 @@ class MountTask(composer.Task):
         return 0.0 if self._last.terminated[0] else 1.0
 
     def _look(self, physics: Any) -> tuple[Tensor, Tensor]:
-        # Both observables come from one look: the noise is drawn once.
-        if self._observed is None:
-            sim = self._state(physics) if self._sim is None else self._sim
-            self._observed = self._mdp.observe(sim, self._episode)
-        return self._observed
+        sim = self._state(physics) if self._sim is None else self._sim
+        return self._mdp.observe(sim, self._episode)
 
     def _state(self, physics: Any) -> SimState:
         index, data = self._index, physics.data

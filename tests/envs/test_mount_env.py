@@ -86,6 +86,26 @@ def test_a_partial_reset_starts_only_the_chosen_worlds_anew(make_env) -> None:
     assert not torch.equal(td["observation"][1], last["observation"][1])
 
 
+def test_the_policy_remembers_what_it_saw_but_not_of_the_episode_before(make_env) -> None:
+    env = make_env("mount", 4, ["observation.history_length=3"])  # noise is on: it is remembered as it was seen
+    sizes = [part["size"] // 3 for part in env.mdp.observation.layout()]  # of one frame
+
+    def seen(td: TensorDict, ago: int) -> Tensor:
+        parts = td["observation"].split([size * 3 for size in sizes], 1)
+        return torch.cat([part.unflatten(1, (3, -1))[:, 2 - ago] for part in parts], 1)
+
+    td = env.reset()
+    assert torch.equal(seen(td, 0), seen(td, 1)) and torch.equal(seen(td, 0), seen(td, 2))
+    first, second, third = td, still(env), still(env)
+    assert torch.equal(seen(third, 1), seen(second, 0)) and torch.equal(seen(third, 2), seen(first, 0))
+    assert not torch.equal(seen(third, 0), seen(third, 1))
+    after = env.reset(TensorDict({"_reset": some(1).unsqueeze(1), **third.select("observation")}, [4]))
+    assert torch.equal(seen(after, 0)[1], seen(after, 2)[1]) and not torch.equal(seen(after, 0)[1], seen(third, 0)[1])
+    fourth = still(env)
+    assert torch.equal(seen(fourth, 1)[~some(1)], seen(third, 0)[~some(1)])
+    assert torch.equal(seen(fourth, 1)[1], seen(after, 0)[1]) and torch.equal(seen(fourth, 2)[1], seen(after, 0)[1])
+
+
 def test_the_time_limit_truncates(make_env) -> None:
     env = make_env("balance", 3, (*QUIET, *SHORT))
     env.reset()

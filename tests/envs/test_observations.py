@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 import torch
 
 from skatemount.config import compose
+from skatemount.envs import MountTask
 from skatemount.envs.commands import toward_board
-from skatemount.envs.observations import OBSERVATIONS, ObservationTable, ObservationTerm, outline_points
+from skatemount.envs.observations import OBSERVATIONS, ObservationTable, ObservationTerm
+from skatemount.envs.observations.terms import outline_points
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import TaskContext
 from skatemount.errors import ConfigError
@@ -289,9 +292,35 @@ def test_noise_then_clip_then_scale(context: TaskContext, make_state: MakeState,
     assert 6.0 - 1e-4 <= float(values[:, 0].min()) < 7.0
 
 
+def test_a_history_is_of_the_frames_as_they_were_seen(
+    context: TaskContext, make_state: MakeState, make_episode: MakeEpisode
+) -> None:
+    terms = {"gravity": ObservationTerm(scale=2.0), "base_ang_vel": ObservationTerm(noise=0.5, history_length=3)}
+    observe = ObservationTable({**terms, "on_deck": ObservationTerm(history_length=1)}, context, history_length=2)
+    assert observe.size == 2 * 3 + 3 * 3 + 4
+    assert [(p["name"], p["size"], p.get("history_length")) for p in observe.layout()] == [
+        ("gravity", 6, 2),
+        ("base_ang_vel", 9, 3),
+        ("on_deck", 4, None),
+    ]
+    generator = torch.Generator().manual_seed(0)
+    states = [make_state(base_ang_vel=(10.0 * i, 0, 0), gravity=(i, 0, 0)) for i in (1, 2, 3, 4)]
+    episode, values, speeds = make_episode(), None, []
+    for sim in states:
+        values = observe(sim, episode, generator, values)
+        speeds.append(values[0, 12:15])
+        if len(speeds) == 1:  # nothing came before the first frame: it stands for what did
+            assert torch.equal(values[0, 6:15], speeds[0].repeat(3))
+    assert values is not None
+    assert values[0, :6].tolist() == [6.0, 0, 0, 8.0, 0, 0]  # oldest first
+    assert torch.equal(values[0, 6:15], torch.cat(speeds[1:]))
+    assert not torch.equal(speeds[-1], torch.tensor([40.0, 0, 0]))  # noise it is
+
+
 @pytest.mark.parametrize(
     ("terms", "expected"),
     [
+        ({"gravity": ObservationTerm(history_length=0)}, ["observation.policy.gravity.history_length=0", "1"]),
         ({"base_ang_velo": ObservationTerm()}, ["observation.base_ang_velo", "did you mean base_ang_vel?", "on_deck"]),
         ({"outline": ObservationTerm(params={"point": 8})}, ["observation.outline.params.point", "known: points"]),
         ({"gravity": ObservationTerm(params={"x": 8})}, ["observation.gravity.params.x", "known: none"]),
@@ -314,3 +343,16 @@ def test_bad_tables_are_one_clear_line(
     assert "\n" not in message
     for text in expected:
         assert text in message
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("observation.history_length=0", "observation.history_length=0 must be 1"),
+        ("+observation.policy.gravity.history_length=-1", "observation.policy.gravity.history_length=-1 must be 1"),
+        ("+observation.privileged.heights.history_length=2", "observation.privileged.heights.history_length=2 must be"),
+    ],
+)
+def test_a_history_that_cannot_be_is_one_clear_line(override: str, expected: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(expected)):
+        MountTask(overrides=[override]).make_mdp(torch.Generator())

@@ -71,7 +71,8 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_one_world_agrees_with_the_batch(monkeypatch: pytest.MonkeyPatch, make_env: Any, case: str) -> None:
     stage, overrides, size, length = CASES[case]
-    overrides = [*QUIET, *overrides, "episode_length=20.0", "start.force=[-0.5,0.5]", "start.torque=[-0.1,0.1]"]
+    overrides = [*QUIET, *overrides, "observation.history_length=2", "episode_length=20.0"]
+    overrides += ["start.force=[-0.5,0.5]", "start.torque=[-0.1,0.1]"]
     worlds = 2
     env: MountEnv = make_env(stage, worlds, overrides)
     starts = env.task.make_sampler().draw(worlds, torch.Generator().manual_seed(1))

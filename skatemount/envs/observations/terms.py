@@ -1,106 +1,61 @@
-"""What the policy and the critic see: observation terms and the table that puts them into one vector."""
+"""What may be seen: every observation term, a function of state, episode and constants that returns ``[N, size]``."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from skatemount.envs import success
 from skatemount.envs.geometry import facing, rotate_inverse
-from skatemount.envs.mirror import mirror_map
+from skatemount.envs.observations.table import observation
 from skatemount.envs.state import EpisodeState, SimState
-from skatemount.envs.terms import Registry, TaskContext
+from skatemount.envs.terms import TaskContext
 from skatemount.errors import ConfigError
 
 
-@dataclass
-class ObservationTerm:
-    """One row of the observation table.
-
-    Attributes:
-        scale: Factor applied last.
-        noise: Half width of the uniform noise added first, in the term's own unit.
-        clip: Bound on the absolute value, applied after the noise; none if null.
-        params: Parameters of the term's function.
-    """
-
-    scale: float = 1.0
-    noise: float = 0.0
-    clip: float | None = None
-    params: dict[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Layout:
-    """How an observation term is laid out.
-
-    Attributes:
-        size: Number of values, or a function of the term's parameters.
-        mirror: Kind of `skatemount.envs.mirror.mirror_map`, or none if the term has no left-right mirror image.
-    """
-
-    size: int | Callable[[dict[str, Any]], int]
-    mirror: str | None
-
-    def count(self, params: dict[str, Any]) -> int:
-        """Number of values with the given parameters."""
-        return self.size if isinstance(self.size, int) else self.size(params)
-
-
-OBSERVATIONS = Registry("observation")
-
-
-def _observation(size: int | Callable[[dict[str, Any]], int], mirror: str | None) -> Callable:
-    return OBSERVATIONS.register(Layout(size, mirror))
-
-
-@_observation(3, "axial")
+@observation(3, "axial")
 def base_ang_vel(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Angular velocity of the trunk, trunk frame, ``[N, 3]`` rad/s."""
     return sim.base_ang_vel
 
 
-@_observation(3, "vector")
+@observation(3, "vector")
 def base_lin_vel(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Linear velocity of the trunk, trunk frame, ``[N, 3]`` m/s."""
     return sim.base_lin_vel
 
 
-@_observation(3, "vector")
+@observation(3, "vector")
 def gravity(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Direction of gravity in the trunk frame, ``[N, 3]``; upright is (0, 0, -1)."""
     return sim.gravity
 
 
-@_observation(3, "command")
+@observation(3, "command")
 def command(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Velocity command: forward and left, m/s, turn left, rad/s, ``[N, 3]``."""
     return episode.command
 
 
-@_observation(12, "joints")
+@observation(12, "joints")
 def joint_pos(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Joint angles from the default pose, ``[N, 12]`` rad."""
     return sim.joint_pos - context.default_pose
 
 
-@_observation(12, "joints")
+@observation(12, "joints")
 def joint_vel(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Joint velocities, ``[N, 12]`` rad/s."""
     return sim.joint_vel
 
 
-@_observation(12, "joints")
+@observation(12, "joints")
 def last_action(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """The action of the last step, clipped, ``[N, 12]``."""
     return episode.action
 
 
-@_observation(3, "vector")
+@observation(3, "vector")
 def board_pos(sim: SimState, episode: EpisodeState, context: TaskContext, at: str = "deck") -> Tensor:
     """Place of the board in the trunk frame, ``[N, 3]`` m.
 
@@ -118,13 +73,13 @@ def board_pos(sim: SimState, episode: EpisodeState, context: TaskContext, at: st
     return sim.board_pos_base - context.deck_height * sim.board_rot_base[..., 2]
 
 
-@_observation(6, "vector")
+@observation(6, "vector")
 def board_axes(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """The board's x and z axes in the trunk frame, ``[N, 6]``; x points to the end that the trunk faces."""
     return torch.cat((sim.board_rot_base[..., 0] * facing(sim.board_rot_base), sim.board_rot_base[..., 2]), -1)
 
 
-@_observation(1, None)
+@observation(1, None)
 def board_yaw(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Yaw of the board in the trunk frame within [0, 2 pi), ``[N, 1]`` rad, as in the paper's code (it jumps at 0)."""
     x_axis = sim.board_rot_base[..., 0]
@@ -157,7 +112,7 @@ def _in_base_frame(sim: SimState, board_points: Tensor) -> Tensor:
     return (board_points @ sim.board_rot_base.transpose(-1, -2) + sim.board_pos_base.unsqueeze(1)).flatten(1)
 
 
-@_observation(lambda params: 3 * params.get("points", 16), "outline")
+@observation(lambda params: 3 * params.get("points", 16), "outline")
 def outline(sim: SimState, episode: EpisodeState, context: TaskContext, points: int = 16) -> Tensor:
     """Points at equal arc length around the deck's top edge, trunk frame, ``[N, 3 points]`` m.
 
@@ -167,7 +122,7 @@ def outline(sim: SimState, episode: EpisodeState, context: TaskContext, points: 
     return _in_base_frame(sim, turned)
 
 
-@_observation(72, None)
+@observation(72, None)
 def outline_paper(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """The paper's 24 edge points in the trunk frame, ``[N, 72]`` m.
 
@@ -183,19 +138,19 @@ def outline_paper(sim: SimState, episode: EpisodeState, context: TaskContext) ->
     return _in_base_frame(sim, torch.tensor([(x, y, 0.012) for x, y in points]))
 
 
-@_observation(12, "feet")
+@observation(12, "feet")
 def feet_base(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Feet's centres in the trunk frame, ``[N, 12]`` m."""
     return sim.foot_pos_base.flatten(1)
 
 
-@_observation(12, None)
+@observation(12, None)
 def feet_base_left_first(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Feet's centres in the trunk frame in the order FL, FR, RL, RR of the paper's simulator, ``[N, 12]`` m."""
     return sim.foot_pos_base[:, [1, 0, 3, 2]].flatten(1)
 
 
-@_observation(12, "feet")
+@observation(12, "feet")
 def feet_board(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Feet's centres in the board frame, its x axis toward the end that the trunk faces, ``[N, 12]`` m."""
     sign = facing(sim.board_rot_base)
@@ -203,45 +158,45 @@ def feet_board(sim: SimState, episode: EpisodeState, context: TaskContext) -> Te
     return (sim.foot_pos_board * turn.unsqueeze(1)).flatten(1)
 
 
-@_observation(4, "flags")
+@observation(4, "flags")
 def on_deck(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Feet that press on the deck from above, ``[N, 4]`` of 0 and 1."""
     return episode.on_deck.to(sim.base_pos.dtype)
 
 
-@_observation(4, "flags")
+@observation(4, "flags")
 def deck_touch(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Feet with any force at all against the deck, ``[N, 4]`` of 0 and 1 (the paper's flag: no threshold)."""
     return (sim.foot_deck_force != 0).any(-1).to(sim.base_pos.dtype)
 
 
-@_observation(8, "flags_twice")
+@observation(8, "flags_twice")
 def foot_forces(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Contact force of each foot with the deck and with anything else, ``[N, 8]`` in units of 100 N."""
     forces = torch.cat((sim.foot_deck_force, sim.foot_other_force), 1)
     return torch.linalg.vector_norm(forces, dim=-1) * 0.01
 
 
-@_observation(13, "bodies")
+@observation(13, "bodies")
 def body_contacts(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Robot parts other than feet that touch something, ``[N, 13]`` of 0 and 1."""
     return success.body_contacts(sim).to(sim.base_pos.dtype)
 
 
-@_observation(6, "vector_axial")
+@observation(6, "vector_axial")
 def board_velocity(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Linear and angular velocity of the board in the trunk frame, ``[N, 6]`` m/s and rad/s."""
     both = torch.stack((sim.board_lin_vel, sim.board_ang_vel), 1)
     return rotate_inverse(sim.base_rot, both).flatten(1)
 
 
-@_observation(2, "negative")
+@observation(2, "negative")
 def truck_angle(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """The truck at the end that the trunk faces and the other one, about their axes, ``[N, 2]`` rad."""
     return torch.where(facing(sim.board_rot_base) > 0, sim.truck_angle, sim.truck_angle.flip(-1))
 
 
-@_observation(3, "scalars")
+@observation(3, "scalars")
 def heights(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Trunk above the robot's floor, deck above the robot's floor (m), board welded (0 or 1), ``[N, 3]``."""
     fixed = sim.board_fixed.to(sim.base_pos.dtype)
@@ -249,94 +204,7 @@ def heights(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tenso
     return torch.stack((base, deck, fixed), 1)
 
 
-@_observation(1, "scalars")
+@observation(1, "scalars")
 def mounted_time(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Seconds that the robot has stood on the board without a break, at most 1, ``[N, 1]``."""
     return episode.mounted_time.clamp(max=success.HOLD).unsqueeze(-1)
-
-
-class ObservationTable:
-    """Observation terms in one vector.
-
-    Args:
-        terms: The table, in order.
-        context: Constants of the task.
-        where: Name of the table in the configuration, for messages.
-
-    Attributes:
-        size: Values in the vector.
-        names: Terms in order.
-    """
-
-    def __init__(self, terms: dict[str, ObservationTerm], context: TaskContext, where: str = "observation.policy"):
-        if not terms:
-            raise ConfigError(f"{where} is empty: it must name at least one of {', '.join(OBSERVATIONS.names())}")
-        self._context = context
-        self._functions = [OBSERVATIONS.bind(name, term.params) for name, term in terms.items()]
-        layouts = [(name, OBSERVATIONS.attributes(name), term) for name, term in terms.items()]
-        self.names = list(terms)
-        self.sizes = [layout.count(term.params) for _, layout, term in layouts]
-        self.size = sum(self.sizes)
-        self._mirrors = [(name, layout.mirror, size) for (name, layout, _), size in zip(layouts, self.sizes)]
-
-        def column(value: Callable[[ObservationTerm], float]) -> Tensor:
-            rows = [torch.full((n,), value(t)) for (_, _, t), n in zip(layouts, self.sizes)]
-            return torch.cat(rows)
-
-        for name, term in terms.items():
-            if term.noise < 0:
-                raise ConfigError(f"{where}.{name}.noise={term.noise} must be 0 or more")
-            if term.clip is not None and term.clip <= 0:
-                raise ConfigError(f"{where}.{name}.clip={term.clip} must be above 0, or null for none")
-        self._scale, self._noise = column(lambda t: t.scale), column(lambda t: t.noise)
-        self._clip = column(lambda t: torch.inf if t.clip is None else t.clip)
-        self._noisy = bool((self._noise > 0).any())
-        self._clipped = bool(self._clip.isfinite().any())
-
-    def __call__(self, sim: SimState, episode: EpisodeState, generator: torch.Generator | None = None) -> Tensor:
-        """The vector of every world.
-
-        Args:
-            sim: The state.
-            episode: The episodes.
-            generator: Source of the noise; without one there is none.
-
-        Returns:
-            ``[N, size]`` float32: noise, then clip, then scale.
-        """
-        values = torch.cat([f(sim, episode, self._context) for f in self._functions], -1)
-        if generator is not None and self._noisy:
-            noise = torch.rand(values.shape, generator=generator)
-            values = torch.addcmul(values, noise.mul_(2).sub_(1), self._noise)
-        if self._clipped:
-            values = torch.minimum(torch.maximum(values, -self._clip), self._clip)
-        return values * self._scale
-
-    def layout(self) -> list[dict[str, Any]]:
-        """The contract of the vector: name, size and scale of each term in order."""
-        starts = torch.tensor(self.sizes).cumsum(0) - torch.tensor(self.sizes)
-        return [
-            {"name": n, "size": s, "scale": round(float(self._scale[start]), 6)}
-            for n, s, start in zip(self.names, self.sizes, starts.tolist())
-        ]
-
-    def mirror(self) -> tuple[Tensor, Tensor]:
-        """The left-right mirror image as a permutation and signs: ``mirrored = x[:, permutation] * signs``.
-
-        Returns:
-            ``[size]`` int64 and ``[size]`` float32.
-
-        Raises:
-            ConfigError: A term has no mirror image.
-        """
-        permutations, signs, start = [], [], 0
-        for name, kind, size in self._mirrors:
-            if kind is None:
-                raise ConfigError(
-                    f"observation term {name} has no left-right mirror image: choose another or network.symmetric=false"
-                )
-            permutation, sign = mirror_map(kind, size)
-            permutations.append(permutation + start)
-            signs.append(sign)
-            start += size
-        return torch.cat(permutations), torch.cat(signs)

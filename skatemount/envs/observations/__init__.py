@@ -1,0 +1,6 @@
+"""Observation terms and the table that puts them into one vector."""
+
+from skatemount.envs.observations import terms
+from skatemount.envs.observations.table import OBSERVATIONS, Layout, ObservationTable, ObservationTerm
+
+__all__ = ["OBSERVATIONS", "Layout", "ObservationTable", "ObservationTerm", "terms"]
