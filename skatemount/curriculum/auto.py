@@ -75,7 +75,8 @@ class AutoCurriculum:
         yaw = torch.deg2rad(within(c.headings, heading)) * sign() + math.pi * (sign() > 0)
         step = within(c.heights, height, c.lowest)
         step = torch.where(height == len(c.heights) - 1, self._deck_height, step)
-        return Placement(xy=xy, yaw=yaw, step_height=step, board_fixed=free == 0, bin=bins)
+        own = torch.rand(n, generator=generator) < c.own if c.own and self.opened.all() else None
+        return Placement(xy=xy, yaw=yaw, step_height=step, board_fixed=free == 0, bin=bins, own=own)
 
     def rates(self) -> Tensor:
         """Estimated success of each bin, ``[bins]``; a half where nothing is known."""

@@ -94,6 +94,7 @@ class CurriculumConfig:
         least: Episodes a bin needs before it counts as solved.
         replay: Share of the starts drawn from all open bins alike; the others go where success is neither rare nor
             sure.
+        own: Share of the starts that are drawn from the stage's own ranges once every bin is open.
         harvest: Share of the starts that are half-mounted states met in earlier episodes, with any kind but ``stages``;
             they count for no bin.
     """
@@ -113,6 +114,7 @@ class CurriculumConfig:
     memory: float = 40.0
     least: float = 15.0
     replay: float = 0.3
+    own: float = 0.0
     harvest: float = 0.0
 
     def validate(self, where: str = "curriculum") -> None:
@@ -134,6 +136,8 @@ class CurriculumConfig:
         for name in ("steady", "solved", "replay"):
             if not 0 < getattr(self, name) < 1:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be a share between 0 and 1")
+        if not 0 <= self.own <= 1:
+            raise ConfigError(f"{where}.own={self.own} must be a share between 0 and 1")
         if not 0 <= self.harvest < 1:
             raise ConfigError(f"{where}.harvest={self.harvest} must be a share, 0 or more and below 1")
         if self.harvest and self.kind == "stages":

@@ -110,6 +110,7 @@ class Placement:
         step_height: ``[N]`` deck above the robot's floor, m.
         board_fixed: ``[N]`` bool.
         bin: ``[N]`` int64, the part of a curriculum that a start belongs to, -1 for none.
+        own: ``[N]`` bool, starts that are drawn from the start settings' ranges after all; none of them if not given.
     """
 
     xy: Tensor
@@ -117,6 +118,7 @@ class Placement:
     step_height: Tensor
     board_fixed: Tensor
     bin: Tensor
+    own: Tensor | None = None
 
 
 Place = Callable[[int, torch.Generator], Placement]
@@ -160,7 +162,7 @@ class StartSampler:
             )
         self.config = config
         self._legs = legs
-        self._place = place or self._within_ranges
+        self._place = place
         self._context = context
         self._deck = torch.tensor(context.deck_half)
         # The wheels of a narrow board stick out from under its deck.
@@ -217,7 +219,9 @@ class StartSampler:
 
     def _candidates(self, n: int, generator: torch.Generator) -> tuple[WorldStart, Tensor]:
         c, context = self.config, self._context
-        place = self._place(n, generator)
+        place = self._within_ranges(n, generator) if self._place is None else self._place(n, generator)
+        if place.own is not None:
+            place = _either(place.own, self._within_ranges(n, generator), place)
         xy, yaw, ground = place.xy, place.yaw, context.deck_height - place.step_height
 
         def uniform(bounds: list[float], *shape: int) -> Tensor:
@@ -284,6 +288,17 @@ class StartSampler:
         over = (points[..., :2].abs() < self._board + _CAPSULE_RADIUS).all(-1)
         support = torch.where(over, self._context.deck_height, ground[:, None, None])
         return points[..., 2] < support + _CAPSULE_RADIUS
+
+
+def _either(first: Tensor, one: Placement, other: Placement) -> Placement:
+    """Rows of the one where ``first`` says so, of the other elsewhere."""
+    return Placement(
+        xy=torch.where(first.unsqueeze(1), one.xy, other.xy),
+        yaw=torch.where(first, one.yaw, other.yaw),
+        step_height=torch.where(first, one.step_height, other.step_height),
+        board_fixed=torch.where(first, one.board_fixed, other.board_fixed),
+        bin=torch.where(first, one.bin, other.bin),
+    )
 
 
 def _uniform(bounds: list[float], generator: torch.Generator, *shape: int) -> Tensor:

@@ -122,6 +122,17 @@ def test_a_lower_step_is_outgrown_where_the_full_one_is_solved() -> None:
     assert (auto.weights() > 0).all()
 
 
+def test_the_stages_own_starts_come_once_every_bin_is_open() -> None:
+    auto = curriculum(own=0.6)
+    auto.opened[:] = True
+    auto.opened[-1] = False
+    assert auto.place(100, torch.Generator().manual_seed(0)).own is None
+    auto.opened[-1] = True
+    own = auto.place(10_000, torch.Generator().manual_seed(0)).own
+    assert own is not None and float(own.float().mean()) == pytest.approx(0.6, abs=0.02)
+    assert curriculum().config.own == 0.0
+
+
 def test_places_lie_in_their_bins() -> None:
     auto = curriculum()
     auto.opened[:] = True

@@ -12,7 +12,7 @@ from skatemount.config import compose, stages
 from skatemount.envs import MountTask
 from skatemount.envs.physics import CpuPhysics
 from skatemount.envs.physics.base import WorldStart
-from skatemount.envs.starts import StartConfig, StartQueue
+from skatemount.envs.starts import Placement, StartConfig, StartQueue
 from skatemount.errors import ConfigError
 
 STARTS = 1500
@@ -236,3 +236,20 @@ def test_the_queue_hands_out_every_start_in_the_order_of_drawing() -> None:
     # Taking for no world takes nothing.
     nobody = torch.zeros(20, dtype=torch.bool)
     assert torch.equal(taken([nobody, *everyone, nobody]), taken(everyone))
+
+
+def test_a_curriculum_may_leave_some_starts_to_the_stages_own_ranges() -> None:
+    def far_away(n: int, generator: torch.Generator) -> Placement:
+        rows = torch.arange(n)
+        xy, fixed = torch.tensor([[5.0, 5.0]]).expand(n, 2), torch.ones(n, dtype=torch.bool)
+        return Placement(xy, torch.ones(n), torch.full((n,), 0.05), fixed, rows, own=rows % 2 == 0)
+
+    task = MountTask(config=compose("unfixed"))
+    start = task.make_sampler(far_away).draw(100, torch.Generator().manual_seed(0))
+    own = start.bin == -1  # what is left to the ranges is of no bin
+    assert 30 < int(own.sum()) < 70 and (start.bin[~own] % 2 == 1).all()
+    assert (start.base_pos[own, :2].abs().amax(1) <= 1.0 + 1e-6).all() and (start.base_pos[~own, :2] == 5.0).all()
+    assert not start.board_fixed[own].any() and start.board_fixed[~own].all()
+    height = task.config.board.deck_height
+    assert start.ground_height[own].tolist() == pytest.approx([0.0] * int(own.sum()), abs=1e-6)
+    assert start.ground_height[~own].tolist() == pytest.approx([height - 0.05] * int((~own).sum()))
