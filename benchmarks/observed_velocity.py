@@ -3,9 +3,9 @@
     python benchmarks/observed_velocity.py checkpoint=pretrained:unfixed --frames 1 2 4
 
 The policy acts in its own task, with noise on what it sees and on what it does. A network as large as the policy's is
-fitted to six worlds of seven: from the last frames it reads the trunk's velocity, the board's relative to the trunk, and
-how fast the board turns, all in the trunk's frame. Printed are the root mean square errors on the other worlds, beside
-the velocities' standard deviations. Steps too near the start of an episode to have as many frames are left out.
+fitted to six worlds of seven: from the last frames it reads the trunk's velocity, the board's relative to the trunk,
+and how fast the board turns, all in the trunk's frame. Printed are the root mean square errors on the other worlds,
+beside the velocities' standard deviations. Steps too near the start of an episode to have as many frames are left out.
 """
 
 from __future__ import annotations
