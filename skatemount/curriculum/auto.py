@@ -86,9 +86,10 @@ class AutoCurriculum:
         """How often each bin is drawn, ``[bins]``, summing to 1."""
         rate, useful = self.rates(), self.opened & ~self._outgrown()
         # A bin that has just opened is rarely solved, and is what has to be learnt; once it is solved, a lower step
-        # than the board's own has opened what it could.
+        # than the board's own has opened what it could, and so has a fixed board where the free one is solved.
         left = (4 * rate * (1 - rate)).view(self.shape).clone()
         left[..., :-1, :] = 0.0
+        left[..., 0].masked_fill_(self.solved().view(self.shape)[..., 1], 0.0)
         learning = torch.where(self.solved(), left.flatten().clamp(min=0.05), 1.0) * useful
         alike = useful.to(rate.dtype)
         replay = self.config.replay

@@ -122,6 +122,18 @@ def test_a_lower_step_is_outgrown_where_the_full_one_is_solved() -> None:
     assert (auto.weights() > 0).all()
 
 
+def test_a_fixed_board_is_practised_less_where_the_free_one_is_solved() -> None:
+    auto = curriculum()
+    auto.opened[:] = True
+    auto.trials[:], auto.successes[:] = 40.0, 32.0  # all solved, all alike
+    bins = torch.arange(auto.opened.numel()).view(auto.shape)
+    finish(auto, torch.full((400,), bins[3, 1, 1, -1, 1]), good=False)
+    auto.update()
+    fixed, free = auto.weights().view(auto.shape)[..., -1, :].unbind(-1)
+    assert (fixed > 0).all() and fixed[3, 1, 1] > 2 * fixed[0, 0, 0]
+    assert free[0, 0, 0] > 2 * fixed[0, 0, 0]
+
+
 def test_the_stages_own_starts_come_once_every_bin_is_open() -> None:
     auto = curriculum(own=0.6)
     auto.opened[:] = True
