@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from skatemount.envs.geometry import facing
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.errors import ConfigError, check_range
 
@@ -56,7 +55,7 @@ class CommandConfig:
             raise ConfigError(f"{where}.deadband={self.deadband} must be 0 or more, in m/s")
 
 
-def toward_board(sim: SimState, turn_to: str = "nearer") -> Tensor:
+def toward_board(sim: SimState, facing: Tensor | None = None) -> Tensor:
     """Velocity command toward the board, the law of the paper's code.
 
     With p the board's place in the trunk's frame, psi its yaw and theta the bearing of p: within 0.5 m
@@ -64,15 +63,15 @@ def toward_board(sim: SimState, turn_to: str = "nearer") -> Tensor:
 
     Args:
         sim: The state.
-        turn_to: ``nearer``: psi is the yaw of the end that the trunk faces, within a quarter turn, as a board has no
-            front; ``front``: of the board's x axis (the paper's code).
+        facing: ``[N, 1]`` which end psi is the yaw of, as in `EpisodeState.facing`; if not given, the end that the
+            board's x axis points to (the paper's code).
 
     Returns:
         ``[N, 3]`` forward, left (m/s), turn left (rad/s).
     """
     place, x_axis = sim.board_pos_base, sim.board_rot_base[..., 0]
-    if turn_to == "nearer":
-        x_axis = x_axis * facing(sim.board_rot_base)
+    if facing is not None:
+        x_axis = x_axis * facing
     yaw = torch.atan2(x_axis[:, 1], x_axis[:, 0]) / math.pi
     bearing = torch.atan2(place[:, 1], place[:, 0]) / math.pi
     near = torch.linalg.vector_norm(place[:, :2], dim=-1) < 0.5
@@ -104,7 +103,7 @@ class Commander:
             episode: The episodes; a world whose ``command_steps`` have run out gets a new sampled command.
         """
         if self._config.mode == "board":
-            episode.command = toward_board(sim, self._config.turn_to)
+            episode.command = toward_board(sim, episode.facing if self._config.turn_to == "nearer" else None)
         elif self._config.mode == "sampled":
             due = episode.command_steps <= 0
             episode.command = torch.where(due.unsqueeze(1), self._draw(len(due)), episode.command)

@@ -133,13 +133,22 @@ def wrap_angle(angle: Tensor) -> Tensor:
     return torch.atan2(torch.sin(angle), torch.cos(angle))
 
 
-def facing(rotation: Tensor) -> Tensor:
+ACROSS = 0.25
+"""Sine of how far the trunk must turn beyond square across the board until the board's other end is its front."""
+
+
+def facing(rotation: Tensor, before: Tensor | None = None) -> Tensor:
     """Which way round a board is seen by a robot: a board has no front, so the end that the trunk faces is it.
 
     Args:
         rotation: ``[N, 3, 3]`` the board's axes in the trunk frame (columns).
+        before: ``[N, 1]`` what it was so far, and stays until the trunk clearly faces the other end: a robot that
+            stands across the board and sways would see all of it turn round and back.
 
     Returns:
         ``[N, 1]``, 1 or -1: the factor of the board's x and y axes.
     """
-    return torch.where(rotation[:, 0, :1] < 0, -1.0, 1.0)
+    ahead = rotation[:, 0, :1]
+    if before is None:
+        return torch.where(ahead < 0, -1.0, 1.0)
+    return torch.where(ahead * before < -ACROSS, -before, before)

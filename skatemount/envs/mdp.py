@@ -14,6 +14,7 @@ from torch import Tensor
 
 from skatemount.envs import success
 from skatemount.envs.commands import Commander
+from skatemount.envs.geometry import facing
 from skatemount.envs.observations import ObservationTable
 from skatemount.envs.rewards import RewardTable
 from skatemount.envs.scene import Scene
@@ -107,6 +108,7 @@ class Mdp:
         distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
         on_deck = success.feet_on_deck(sim)
         fresh.on_deck = on_deck
+        fresh.facing = facing(sim.board_rot_base)
         fresh.off_time = torch.where(on_deck, 0.0, torch.inf)
         fresh.touching = on_deck | success.feet_elsewhere(sim)
         fresh.distance, fresh.previous_distance = distance, distance.clone()
@@ -142,6 +144,7 @@ class Mdp:
         episode.touchdown = touching & ~episode.touching
         episode.touching = touching
         episode.on_deck = on_deck
+        episode.facing = facing(sim.board_rot_base, episode.facing)
         episode.off_time = torch.where(on_deck, 0.0, episode.off_time + step)
         velocity = torch.linalg.vector_norm(sim.base_lin_vel[:, :2] - episode.command[:, :2], dim=-1)
         turn = (sim.base_ang_vel[:, 2] - episode.command[:, 2]).abs()

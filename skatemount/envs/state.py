@@ -158,6 +158,8 @@ class EpisodeState:
         terminated: ``[N]`` bool, a termination ended the episode in this step.
         bin: ``[N]`` int64, the part of a curriculum that the start came from, -1 for none.
         start: ``[N, 3]`` x, y and yaw of the trunk in the board's frame at the start, m and rad.
+        facing: ``[N, 1]``, 1 or -1: whether the board's x axis points to the end that the trunk faces; see
+            `skatemount.envs.geometry.facing`.
         seen: ``[N, O]`` what the policy sees now: the last frames of what it remembers included.
     """
 
@@ -180,6 +182,7 @@ class EpisodeState:
     terminated: Tensor
     bin: Tensor
     start: Tensor
+    facing: Tensor
     seen: Tensor
 
     @classmethod
@@ -212,6 +215,7 @@ class EpisodeState:
             terminated=f(n, dtype=torch.bool),
             bin=torch.full((n,), -1),
             start=f(n, 3),
+            facing=torch.ones(n, 1),
             seen=f(n, observed),
             batch_size=[n],
         )

@@ -9,10 +9,12 @@ import pytest
 import torch
 
 from skatemount.envs.commands import CommandConfig, Commander, toward_board
+from skatemount.envs.geometry import facing
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.errors import ConfigError
 
 MakeState = Callable[..., SimState]
+MakeEpisode = Callable[..., EpisodeState]
 STEP = 0.04
 
 
@@ -42,13 +44,13 @@ def test_toward_board(
     c, s = math.cos(heading), math.sin(heading)
     board = (1.0 + c * place[0] - s * place[1], 2.0 + s * place[0] + c * place[1], 0.088)
     sim = make_state(base=(1.0, 2.0, 0.3), base_rpy=(0, 0, heading), board=board, board_rpy=(0, 0, heading + yaw))
-    assert toward_board(sim)[0].tolist() == pytest.approx(expected, abs=2e-6)
+    assert toward_board(sim, facing(sim.board_rot_base))[0].tolist() == pytest.approx(expected, abs=2e-6)
 
 
 @pytest.mark.parametrize(("turn_to", "turn"), [("nearer", math.pi - 3.0), ("front", -3.0)])
-def test_which_end_to_turn_to(turn_to: str, turn: float, make_state: MakeState) -> None:
+def test_which_end_to_turn_to(turn_to: str, turn: float, make_state: MakeState, make_episode: MakeEpisode) -> None:
     sim = make_state(board=(0.1, 0.0, 0.088), board_rpy=(0, 0, -3.0))
-    episode = EpisodeState.zeros(1)
+    episode = make_episode(sim)
     commander(turn_to=turn_to).update(sim, episode)
     assert float(episode.command[0, 2]) == pytest.approx(turn / math.pi, abs=1e-6)
 

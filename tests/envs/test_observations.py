@@ -13,6 +13,7 @@ import torch
 from skatemount.config import compose
 from skatemount.envs import MountTask
 from skatemount.envs.commands import toward_board
+from skatemount.envs.geometry import facing
 from skatemount.envs.observations import OBSERVATIONS, ObservationTable, ObservationTerm
 from skatemount.envs.observations.terms import outline_points
 from skatemount.envs.state import EpisodeState, SimState
@@ -181,9 +182,9 @@ def test_board_axes_and_outline(context: TaskContext, make_state: MakeState, mak
     # This trunk looks away from the board's front.
     assert (r.T @ s[:, 0])[0] < 0
     axes = np.concatenate([-r.T @ s[:, 0], r.T @ s[:, 2]])
-    np.testing.assert_allclose(one(context, "board_axes", sim, make_episode()), axes, atol=1e-6)
+    np.testing.assert_allclose(one(context, "board_axes", sim, make_episode(sim)), axes, atol=1e-6)
     corner = r.T @ (b + s @ (0.2875, 0.125, 0) - p)
-    points = one(context, "outline", sim, make_episode(), points=300).reshape(-1, 3)
+    points = one(context, "outline", sim, make_episode(sim), points=300).reshape(-1, 3)
     assert float((points - torch.tensor(corner)).norm(dim=1).min()) < 0.003
 
 
@@ -199,7 +200,26 @@ def test_a_board_has_no_front(
     for name in ("board_axes", "outline", "feet_board", "truck_angle", "board_pos"):
         a, b = (one(context, name, sim, make_episode(sim)) for sim in (ahead, round_about))
         np.testing.assert_allclose(a, b, atol=2e-6, err_msg=name)
-    assert toward_board(ahead).tolist() == [pytest.approx(toward_board(round_about)[0].tolist(), abs=1e-5)]
+    commands = [toward_board(sim, facing(sim.board_rot_base))[0].tolist() for sim in (ahead, round_about)]
+    assert commands[0] == pytest.approx(commands[1], abs=1e-5)
+
+
+def test_a_robot_that_sways_across_the_board_sees_it_the_same_way_round(make_state: MakeState) -> None:
+    mdp = MountTask(overrides=["observation.noise=false"]).make_mdp(torch.Generator())
+
+    def across(degrees: float) -> SimState:
+        return make_state(board_rpy=(0, 0, math.radians(degrees)))
+
+    episode, nothing = mdp.begin(across(89)), torch.zeros(1, 12)
+    ends = []
+    for degrees in (89, 91, 100, 80, 110, 100, 91, 80, 70):
+        sim = across(degrees)
+        mdp.advance(sim, episode, nothing, torch.zeros(1, dtype=torch.bool))
+        ends.append(int(episode.facing))
+        axis = episode.seen.split([part["size"] for part in mdp.observation.layout()], 1)[7]
+        assert mdp.observation.names[7] == "board_axes"
+        torch.testing.assert_close(axis[:, :3], sim.board_rot_base[..., 0] * ends[-1])
+    assert ends == [1, 1, 1, 1, -1, -1, -1, -1, 1]
 
 
 @pytest.mark.parametrize("points", [4, 16, 23, 400])

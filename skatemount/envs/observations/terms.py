@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs import success
-from skatemount.envs.geometry import facing, rotate_inverse
+from skatemount.envs.geometry import rotate_inverse
 from skatemount.envs.observations.table import observation
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import TaskContext
@@ -76,7 +76,7 @@ def board_pos(sim: SimState, episode: EpisodeState, context: TaskContext, at: st
 @observation(6, "vector")
 def board_axes(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """The board's x and z axes in the trunk frame, ``[N, 6]``; x points to the end that the trunk faces."""
-    return torch.cat((sim.board_rot_base[..., 0] * facing(sim.board_rot_base), sim.board_rot_base[..., 2]), -1)
+    return torch.cat((sim.board_rot_base[..., 0] * episode.facing, sim.board_rot_base[..., 2]), -1)
 
 
 @observation(1, None)
@@ -118,7 +118,7 @@ def outline(sim: SimState, episode: EpisodeState, context: TaskContext, points: 
 
     They begin in the middle of the end that the trunk faces.
     """
-    turned = outline_points(context, points) * facing(sim.board_rot_base).unsqueeze(-1)
+    turned = outline_points(context, points) * episode.facing.unsqueeze(-1)
     return _in_base_frame(sim, turned)
 
 
@@ -153,7 +153,7 @@ def feet_base_left_first(sim: SimState, episode: EpisodeState, context: TaskCont
 @observation(12, "feet")
 def feet_board(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Feet's centres in the board frame, its x axis toward the end that the trunk faces, ``[N, 12]`` m."""
-    sign = facing(sim.board_rot_base)
+    sign = episode.facing
     turn = torch.cat((sign, sign, torch.ones_like(sign)), -1)
     return (sim.foot_pos_board * turn.unsqueeze(1)).flatten(1)
 
@@ -193,7 +193,7 @@ def board_velocity(sim: SimState, episode: EpisodeState, context: TaskContext) -
 @observation(2, "negative")
 def truck_angle(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """The truck at the end that the trunk faces and the other one, about their axes, ``[N, 2]`` rad."""
-    return torch.where(facing(sim.board_rot_base) > 0, sim.truck_angle, sim.truck_angle.flip(-1))
+    return torch.where(episode.facing > 0, sim.truck_angle, sim.truck_angle.flip(-1))
 
 
 @observation(3, "scalars")
