@@ -20,6 +20,7 @@ from torchrl.modules import MLP
 
 from skatemount.agent import Agent
 from skatemount.envs import MountEnv, MountTask
+from skatemount.envs.geometry import rotate_inverse
 from skatemount.models import ACTIVATIONS
 
 ROWS = ("trunk, m/s", "board less trunk, m/s", "board's turning, rad/s")
@@ -49,7 +50,7 @@ class Experience:
 
         def look() -> None:
             sim = env.sim
-            board = torch.stack((sim.board_lin_vel, sim.board_ang_vel), 1) @ sim.base_rot
+            board = rotate_inverse(sim.base_rot, torch.stack((sim.board_lin_vel, sim.board_ang_vel), 1))
             velocities.append(torch.cat((sim.base_lin_vel, board[:, 0] - sim.base_lin_vel, board[:, 1]), 1))
             ages.append(env.episode.step)
 
