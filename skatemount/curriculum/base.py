@@ -95,8 +95,8 @@ class CurriculumConfig:
         replay: Share of the starts drawn from all open bins alike; the others go where success is neither rare nor
             sure.
         own: Share of the starts that are drawn from the stage's own ranges once every bin is open.
-        harvest: Share of the starts that are half-mounted states met in earlier episodes, with any kind but ``stages``;
-            they count for no bin.
+        harvest: Share of the starts in the stage's own ranges that are instead states of earlier episodes in which a
+            robot was stuck: half-mounted more than two seconds after the first contact. With any kind but ``stages``.
     """
 
     kind: str = "none"

@@ -1,4 +1,4 @@
-"""Half-mounted states met in rollouts, as starts: the robot practises what comes next without getting there first."""
+"""States of rollouts in which a robot is stuck, half-mounted, as starts: the way out of them is practised."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ PER_STEP = 16
 """Most states taken from one control step, so that what is kept comes from many moments."""
 MAX_TILT = math.radians(5.0)
 """Of the deck: boards start level, and the robot's feet must still be where they were."""
+STUCK_AFTER = 2.0
+"""Half-mounted this long after a foot first pressed on the deck, a robot is not on its way any more, s."""
 
 
 def half_mounted(sim: SimState, episode: EpisodeState) -> Tensor:
@@ -72,19 +74,21 @@ class Harvest:
 
     Args:
         env: The environment; it is listened to, and its starts are changed from the next draw on.
-        share: Of the starts.
+        share: Of the starts in the stage's own ranges.
+        after: What is kept is older than this, seconds from the first foot-deck contact.
     """
 
-    def __init__(self, env: MountEnv, share: float):
-        self._env, self._share = env, share
+    def __init__(self, env: MountEnv, share: float, after: float = STUCK_AFTER):
+        self._env, self._share, self._after = env, share, after
         self._kept: WorldStart | None = None
         env.listeners.append(self.record)
         env.change_starts(self.mix)
 
     def record(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
-        """Keep some of a step's half-mounted states; a listener of `MountEnv`."""
+        """Keep some of a step's states of stuck robots; a listener of `MountEnv`."""
         env = self._env
-        rows = (half_mounted(env.sim, episode) & ~done).nonzero().flatten()
+        trying = episode.step * env.mdp.context.control_step - episode.first_contact
+        rows = (half_mounted(env.sim, episode) & (trying > self._after) & ~done).nonzero().flatten()
         if not len(rows):
             return
         rows = rows[torch.randperm(len(rows), generator=env.generator)[:PER_STEP]]
@@ -93,7 +97,7 @@ class Harvest:
         self._kept = new if self._kept is None else WorldStart.cat([self._kept, new])[-SIZE:]
 
     def mix(self, starts: WorldStart, generator: torch.Generator) -> WorldStart:
-        """Put kept states in the place of a share of starts; a constant wrench on the trunk stays.
+        """Put kept states in the place of a share of starts that belong to no bin; the wrench on the trunk stays.
 
         Args:
             starts: As drawn.
@@ -102,7 +106,7 @@ class Harvest:
         if self._kept is None:
             return starts
         n = len(starts)
-        replaced = torch.rand(n, generator=generator) < self._share
+        replaced = (torch.rand(n, generator=generator) < self._share) & (starts.bin < 0)
         picked = self._kept[torch.randint(len(self._kept), (n,), generator=generator)]
         picked.force, picked.torque = starts.force, starts.torque
         return WorldStart.where(replaced, picked, starts)

@@ -62,7 +62,7 @@ def test_a_state_becomes_the_same_state(env: MountEnv) -> None:
 
 def test_only_what_is_half_mounted_is_kept(make_env: Callable[..., MountEnv]) -> None:
     env = make_env("mount", 64, ["start.x=[-0.6,0.6]", "start.y=[-0.6,0.6]", "start.yaw=[-3,3]"])
-    harvest = Harvest(env, 0.5)
+    harvest = Harvest(env, 0.5, after=0.0)
     fidget(env)
     assert (env.episode.on_deck.sum(1) == 0).any()
     kept = harvest._kept
@@ -76,7 +76,7 @@ def test_only_what_is_half_mounted_is_kept(make_env: Callable[..., MountEnv]) ->
 
 
 def test_a_share_of_the_starts_is_replaced(env: MountEnv) -> None:
-    harvest = Harvest(env, 0.25)
+    harvest = Harvest(env, 0.25, after=0.0)
     drawn = env.task.make_sampler().draw(2000, torch.Generator().manual_seed(0))
     drawn.force = torch.full((2000, 3), 7.0)
     assert harvest.mix(drawn, torch.Generator()) is drawn  # nothing is kept yet
@@ -89,8 +89,25 @@ def test_a_share_of_the_starts_is_replaced(env: MountEnv) -> None:
     assert mixed.joint_vel[replaced].abs().max() > 0.1
 
 
+def test_starts_of_a_bin_stay(env: MountEnv) -> None:
+    harvest = Harvest(env, 0.5, after=0.0)
+    fidget(env)
+    drawn = env.task.make_sampler().draw(400, torch.Generator().manual_seed(0))
+    drawn.bin = torch.arange(400) % 2 - 1  # every other one is of bin 0
+    replaced = (harvest.mix(drawn, torch.Generator()).joint_pos != drawn.joint_pos).any(1)
+    assert 60 < int(replaced.sum()) < 140 and (drawn.bin[replaced] == -1).all()
+
+
+def test_a_robot_on_its_way_is_not_kept(env: MountEnv) -> None:
+    harvest = Harvest(env, 0.5, after=0.1)
+    fidget(env, steps=3)  # 0.12 s, the contact at 0.04
+    assert half_mounted(env.sim, env.episode).any() and harvest._kept is None
+    fidget(env, steps=8)
+    assert harvest._kept is not None
+
+
 def test_the_environment_starts_from_them(env: MountEnv) -> None:
-    Harvest(env, 0.9)
+    Harvest(env, 0.9, after=0.0)
     fidget(env)
     env.change_starts(env._change)  # what was drawn before there was a harvest is left
     env.reset()
@@ -99,7 +116,7 @@ def test_the_environment_starts_from_them(env: MountEnv) -> None:
 
 
 def test_old_states_make_room(env: MountEnv) -> None:
-    harvest = Harvest(env, 0.5)
+    harvest = Harvest(env, 0.5, after=0.0)
     fidget(env)
     assert harvest._kept is not None
     harvest._kept = WorldStart.cat([harvest._kept] * (SIZE // len(harvest._kept) + 1))
