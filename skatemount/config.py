@@ -334,6 +334,8 @@ def one_line(error: BaseException) -> str:
             text += f" ({keys[0]})"
         said.append(text)
     text = ": ".join(said)
+    if whole := re.search(r"Value '(\d+)\.0' of type 'float' could not be converted to Integer", text):
+        text += f"; write {whole[1]}"
     missing = re.search(r"Key '(\w+)' (?:not in '(\w+)'|is not in struct)", text)
     close = difflib.get_close_matches(missing[1], _settings(missing[2]), n=3) if missing else []
     return f"{text}; did you mean {' or '.join(close)}?" if close else text

@@ -73,6 +73,11 @@ class AlgorithmConfig:
                 f"{where}.min_learning_rate={self.min_learning_rate} must be at most "
                 f"max_learning_rate={self.max_learning_rate}"
             )
+        if self.target_kl is not None and not self.min_learning_rate <= self.learning_rate <= self.max_learning_rate:
+            raise ConfigError(
+                f"{where}.learning_rate={self.learning_rate} must be within min_learning_rate={self.min_learning_rate} "
+                f"and max_learning_rate={self.max_learning_rate}, between which it follows the KL"
+            )
         for name in ("value_coeff", "entropy_coeff"):
             if not getattr(self, name) >= 0:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be 0 or more")
