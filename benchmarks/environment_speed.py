@@ -22,7 +22,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import torch
 from dm_control import composer
@@ -90,22 +89,19 @@ class Raw:
             data["action"] = scale * torch.randn(env.num_worlds, 12)
             if i >= WARM_UP:
                 self._states.append(env.physics.raw_state())
-                self._targets.append(env.mdp.targets(data["action"]).numpy().astype(np.float64))
+                self._targets.append(env.mdp.targets(data["action"]))
             _, data = env.step_and_maybe_reset(data)
 
     def run(self, seconds: float) -> float:
         """Environment steps a second; the states are put back outside of the clock."""
-        batch, spent, steps, i = self._physics._batch, 0.0, 0, 0
+        spent, i = 0.0, 0
         while spent < seconds:
-            state, targets = self._states[i % RECORDED], self._targets[i % RECORDED]
-            batch.state[:] = state
+            self._physics.set_raw_state(self._states[i % RECORDED])
             start = time.perf_counter()
-            batch.ctrl[:] = targets
-            batch.step(nstep=self._substeps, stage=mujoco.mjtStage.mjSTAGE_VEL.value)
+            self._physics.step(self._targets[i % RECORDED], self._substeps)
             spent += time.perf_counter() - start
-            steps += batch.nsim
             i += 1
-        return steps / spent
+        return i * self._physics.num_worlds / spent
 
 
 def mount_env(env: MountEnv, scale: float) -> Callable[[float], float]:

@@ -6,6 +6,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import NoReturn
 
 import hydra
@@ -17,12 +18,16 @@ from skatemount.config import Config
 from skatemount.errors import ConfigError
 
 _BELONGS_TO = {
-    **dict.fromkeys(("init_from", "resume"), ("train",)),
-    **dict.fromkeys(("checkpoint", "pipeline", "handover", "suite", "output"), ("evaluate", "record")),
-    **dict.fromkeys(("episodes", "json"), ("evaluate",)),
+    "init_from": ("train", "bench"),
+    "resume": ("train",),
+    **dict.fromkeys(("checkpoint", "pipeline", "handover", "suite"), ("evaluate", "record")),
+    "output": ("evaluate", "record", "bench"),
+    "episodes": ("evaluate",),
+    "json": ("evaluate", "bench"),
     "episode": ("record",),
+    "bench": ("bench",),
 }
-"""Settings that other programs do not look at."""
+"""Settings, or groups of them, that other programs do not look at."""
 
 _INSTEAD = {
     ("train", "checkpoint"): "training starts from init_from=<policy>, or goes on with resume=<run>",
@@ -44,8 +49,7 @@ def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
     # Without this Hydra prints a screen of its own and ends the program itself.
     os.environ["HYDRA_FULL_ERROR"] = "1"
 
-    # TorchRL's own parts still use what it has deprecated.
-    warnings.filterwarnings("ignore", message="Creating .*WeightUpdater", category=DeprecationWarning)
+    ignore_torchrls_warnings()
 
     @hydra.main(config_path=str(configuration.config_dir().absolute()), config_name="config", version_base="1.3")
     def application(composed: DictConfig) -> None:
@@ -79,11 +83,33 @@ def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
         raise
 
 
+def ignore_torchrls_warnings() -> None:
+    """Say nothing of what TorchRL has deprecated and still uses itself."""
+    warnings.filterwarnings("ignore", message="Creating .*WeightUpdater", category=DeprecationWarning)
+
+
+def prepare_outputs(config: Config) -> None:
+    """Make the folders that ``json`` and ``output`` name, now rather than after all the work.
+
+    Args:
+        config: As composed from the command line.
+
+    Raises:
+        ConfigError: A folder is where a file is to be.
+    """
+    if config.json is not None:
+        if Path(config.json).is_dir():
+            raise ConfigError(f"json={config.json} is a folder; it must name a file")
+        Path(config.json).parent.mkdir(parents=True, exist_ok=True)
+    if config.output is not None:
+        Path(config.output).mkdir(parents=True, exist_ok=True)
+
+
 def _check_program(name: str, overrides: list[str]) -> None:
     """Refuse a setting that this program would ignore."""
     for override in overrides:
         key = override.lstrip("+~").partition("=")[0]
-        programs = _BELONGS_TO.get(key, (name,))
+        programs = _BELONGS_TO.get(key.partition(".")[0], (name,))
         if name not in programs:
             instead = f"; {_INSTEAD[name, key]}" if (name, key) in _INSTEAD else ""
             raise ConfigError(f"{override}: a setting of skatemount.{' and '.join(programs)} only{instead}")

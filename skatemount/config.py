@@ -23,6 +23,7 @@ from skatemount.envs.settings import TaskConfig
 from skatemount.errors import ConfigError
 from skatemount.losses.ppo import AlgorithmConfig
 from skatemount.models import NetworkConfig
+from skatemount.speed.settings import BenchConfig
 
 PRECISIONS = ("highest", "medium", "bf16")
 
@@ -107,6 +108,7 @@ class Config(TaskConfig):
     curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
     collector: CollectorConfig = field(default_factory=CollectorConfig)
     logger: LoggerConfig = field(default_factory=LoggerConfig)
+    bench: BenchConfig = field(default_factory=BenchConfig)
     seed: int = 0
     total_frames: int = 6_000_000
     precision: str = "medium"
@@ -128,6 +130,7 @@ class Config(TaskConfig):
         self.network.validate("network")
         self.algorithm.validate("algorithm")
         self.curriculum.validate("curriculum")
+        self.bench.validate("bench")
         if self.suite is not None:
             self.suite.validate("suite")
         if self.curriculum.kind == "stages":

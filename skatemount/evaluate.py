@@ -31,16 +31,10 @@ def evaluate(config: Config, overrides: list[str]) -> None:
     from skatemount.benchmark import report
     from skatemount.benchmark.success_map import plot_success_map
     from skatemount.benchmark.trial import Trial
-    from skatemount.errors import ConfigError
+    from skatemount.cli import prepare_outputs
     from skatemount.provenance import package_versions
 
-    # Now rather than after all the episodes.
-    if config.json is not None:
-        if Path(config.json).is_dir():
-            raise ConfigError(f"json={config.json} is a folder; it must name a file")
-        Path(config.json).parent.mkdir(parents=True, exist_ok=True)
-    if config.output is not None:
-        Path(config.output).mkdir(parents=True, exist_ok=True)
+    prepare_outputs(config)
     trials = Trial.prepare(config, overrides)
     results = {}
     for i, trial in enumerate(trials):

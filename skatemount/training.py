@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Generator, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -191,49 +191,18 @@ class Trainer:
             The evaluation of the final policy, if the settings ask for one.
         """
         config, logger = self.config, self.config.logger
-        batch_frames = self.env.num_worlds * config.collector.steps
         if self.frames >= config.total_frames:
             raise ConfigError(
                 f"total_frames={config.total_frames} are already trained ({self.frames}): give more to go on"
             )
-        collector = Collector(
-            self.env,
-            self.networks.actor,
-            frames_per_batch=batch_frames,
-            total_frames=-1,
-            track_traj_ids=False,
-            auto_register_policy_transforms=False,
-        )
         log = MetricsLog(
             self.run, tensorboard=logger.tensorboard, csv=logger.csv, resume_at=self.frames if self.frames else None
         )
         progress = Progress(config.total_frames, config.stage.name, logger.progress_every, self.frames)
-        drawn = started = time.monotonic()
-        already = self.elapsed
-        with termination_as_interrupt(), log, progress:
+        drawn = time.monotonic()
+        with termination_as_interrupt(), log, progress, closing(self.iterations()) as iterations:
             try:
-                mark = time.monotonic()
-                for batch in collector:
-                    collected = time.monotonic()
-                    metrics = self._learn(batch)
-                    self.frames += batch_frames
-                    self.iteration += 1
-                    self.ppo.calm_down(self.frames)
-                    now = time.monotonic()
-                    self.elapsed = already + now - started
-                    if lost := self.env.physics.overflowed():
-                        raise ConfigError(lost)
-                    metrics |= self.env.statistics.pop()
-                    if self.curriculum is not None:
-                        self.curriculum.update()
-                        self.env.place_starts(self.curriculum.place)
-                        metrics |= self.curriculum.metrics()
-                    metrics |= {
-                        "Perf/total_fps": batch_frames / (now - mark),
-                        "Perf/collection_time": collected - mark,
-                        "Perf/learning_time": now - collected,
-                        "Perf/elapsed_s": self.elapsed,
-                    }
+                for metrics in iterations:
                     last = self.frames >= config.total_frames
                     if self._due(logger.evaluate_every) or (last and logger.evaluate_every):
                         metrics |= self._evaluate(logger.evaluate_episodes).metrics()
@@ -242,18 +211,62 @@ class Trainer:
                     progress.update(self.frames, metrics)
                     if self._due(logger.checkpoint_every) or "Evaluation/success" in metrics or last:
                         self.save(metrics)
-                    if last or now - drawn > logger.plot_every:
+                    if last or time.monotonic() - drawn > logger.plot_every:
                         self.plot()
-                        drawn = now
+                        drawn = time.monotonic()
                     if last:
                         break
-                    mark = time.monotonic()
             except KeyboardInterrupt:
                 self.save({})
                 raise
-            finally:
-                collector.shutdown(close_env=False)
         return self._evaluate(logger.final_episodes) if logger.final_episodes else None
+
+    def iterations(self) -> Generator[dict[str, float]]:
+        """Collect and learn, over and over, without an end.
+
+        Yields:
+            The metrics of an iteration.
+
+        Raises:
+            ConfigError: The engine's memory was too small for all contacts.
+        """
+        batch_frames = self.env.num_worlds * self.config.collector.steps
+        collector = Collector(
+            self.env,
+            self.networks.actor,
+            frames_per_batch=batch_frames,
+            total_frames=-1,
+            track_traj_ids=False,
+            auto_register_policy_transforms=False,
+        )
+        already, started = self.elapsed, time.monotonic()
+        try:
+            mark = started
+            for batch in collector:
+                collected = time.monotonic()
+                metrics = self._learn(batch)
+                self.frames += batch_frames
+                self.iteration += 1
+                self.ppo.calm_down(self.frames)
+                now = time.monotonic()
+                self.elapsed = already + now - started
+                if lost := self.env.physics.overflowed():
+                    raise ConfigError(lost)
+                metrics |= self.env.statistics.pop()
+                if self.curriculum is not None:
+                    self.curriculum.update()
+                    self.env.place_starts(self.curriculum.place)
+                    metrics |= self.curriculum.metrics()
+                metrics |= {
+                    "Perf/total_fps": batch_frames / (now - mark),
+                    "Perf/collection_time": collected - mark,
+                    "Perf/learning_time": now - collected,
+                    "Perf/elapsed_s": self.elapsed,
+                }
+                yield metrics
+                mark = time.monotonic()
+        finally:
+            collector.shutdown(close_env=False)
 
     def _learn(self, batch: TensorDictBase) -> dict[str, float]:
         if self._look_around:

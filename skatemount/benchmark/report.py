@@ -6,9 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from rich import box
-from rich.console import Console
-from rich.table import Table
+from skatemount.tables import new_table, rendered
 
 if TYPE_CHECKING:
     from skatemount.benchmark.results import Evaluation
@@ -38,10 +36,10 @@ def table(result: Evaluation) -> str:
         "energy": f"{result.energy:.0f} J an episode",
         "failures": failures(result),
     }
-    made = _table(result.title, "")
+    made = new_table(result.title, "")
     for name, value in rows.items():
         made.add_row(name, value)
-    text = _rendered(made)
+    text = rendered(made)
     if result.variants:
         text += "\n\n" + overview(result.by_variant() | {"all of them": result}, "variant")
     return text
@@ -54,7 +52,7 @@ def overview(results: Mapping[str, Evaluation], what: str) -> str:
         results: The evaluations by name.
         what: What the names are names of.
     """
-    made = _table(what, "success", "95 % interval", "time to mount", "feet", "main failure")
+    made = new_table(what, "success", "95 % interval", "time to mount", "feet", "main failure")
     for name, result in results.items():
         low, high = result.interval
         median = result.time_to_mount(0.5)
@@ -68,7 +66,7 @@ def overview(results: Mapping[str, Evaluation], what: str) -> str:
             f"{result.feet_on_board:.2f}",
             "-" if main is None else f"{in_words(main)}, {causes[main]} of {result.episodes}",
         )
-    return _rendered(made)
+    return rendered(made)
 
 
 def failures(result: Evaluation) -> str:
@@ -91,11 +89,11 @@ def failed_episodes(result: Evaluation, command: str, most: int = 5) -> str:
     if not failed:
         return ""
     names = ["failed episode", *(["variant"] if result.variants else []), "x", "y", "heading", "ended by", "after"]
-    made = _table(*names)
+    made = new_table(*names)
     for each in failed[:most]:
         made.add_row(*_row(each))
     more = f"\n  and {len(failed) - most} more" if len(failed) > most else ""
-    return f"{_rendered(made)}{more}\n\nfilm one of them: {command}"
+    return f"{rendered(made)}{more}\n\nfilm one of them: {command}"
 
 
 def _row(failed: dict[str, Any]) -> list[str]:
@@ -113,19 +111,3 @@ def _row(failed: dict[str, Any]) -> list[str]:
 
 def _spread(median: float | None, p95: float | None, unit: str) -> str:
     return "-" if median is None else f"median {median:.2f} {unit}, 95 % within {p95:.2f} {unit}"
-
-
-def _table(*columns: str) -> Table:
-    made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for name in columns:
-        made.add_column(name, no_wrap=True)
-    return made
-
-
-def _rendered(made: Table) -> str:
-    # Wide enough for any row: a pipe has no width, and a command or a number must not be cut.
-    console = Console(width=160, no_color=True)
-    with console.capture() as captured:
-        console.print(made)
-    lines = [line.rstrip() for line in captured.get().splitlines()]
-    return "\n".join(lines).strip("\n")

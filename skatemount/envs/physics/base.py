@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import mujoco
 import torch
@@ -108,6 +108,14 @@ class Physics(Protocol):
 
     def overflowed(self) -> str | None:
         """What went wrong and what to raise if a buffer was too small and contacts were lost; none if all is well."""
+        ...
+
+    def raw_state(self) -> Any:
+        """A copy of all that integration goes on from, for `set_raw_state`."""
+        ...
+
+    def set_raw_state(self, state: Any) -> None:
+        """Put every world back to where it was, and compute everything that depends on it."""
         ...
 
     def close(self) -> None:

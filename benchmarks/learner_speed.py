@@ -1,0 +1,149 @@
+"""How fast a batch is learnt from, next to rsl_rl's PPO with the same sizes, in one run.
+
+    pip install --no-deps rsl-rl-lib==5.5.1
+    python benchmarks/learner_speed.py --worlds 1024 --steps 24
+
+One update is: advantages from stored rewards, then epochs x minibatches of PPO on an asymmetric actor and critic whose
+inputs are normalised. Ours also computes the values of all states in it, which rsl_rl does while it collects; so the
+comparison is in rsl_rl's favour. Both get the same batch, networks, number of threads and of updates.
+
+`precision` is of float32 matrix products; rsl_rl leaves torch's "highest", which is also what it is measured with
+besides.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from rsl_rl.algorithms import PPO as RslPPO
+from rsl_rl.models import MLPModel
+from rsl_rl.storage import RolloutStorage
+from tensordict import TensorDict, TensorDictBase
+
+from skatemount.config import Config, compose
+from skatemount.envs.physics.cpu import available_cores
+from skatemount.losses.ppo import PPO
+from skatemount.models import ActorCritic
+
+OBSERVATION, PRIVILEGED, ACTIONS = 130, 60, 12
+"""About the default task's."""
+
+
+def random_batch(config: Config, worlds: int, steps: int) -> TensorDict:
+    """A batch as TorchRL's collector yields it, of noise."""
+
+    def flags(share: float) -> torch.Tensor:
+        return torch.rand(worlds, steps, 1) < share
+
+    terminated, truncated = flags(0.01), flags(0.005)
+    states = {
+        "observation": torch.randn(worlds, steps, OBSERVATION),
+        "privileged": torch.randn(worlds, steps, PRIVILEGED),
+    }
+    following = {
+        key: torch.cat((value[:, 1:], torch.randn(worlds, 1, value.shape[-1])), 1) for key, value in states.items()
+    }
+    following |= {
+        "reward": torch.randn(worlds, steps, 1),
+        "done": terminated | truncated,
+        "terminated": terminated,
+        "truncated": truncated & ~terminated,
+    }
+    return TensorDict(states | {"next": TensorDict(following, [worlds, steps])}, [worlds, steps])
+
+
+def ours(config: Config, batch: TensorDictBase) -> Callable[[], None]:
+    """Our update; its batch as our policy would have acted."""
+    networks = ActorCritic(config.network, OBSERVATION, PRIVILEGED, ACTIONS)
+    ppo = PPO(config.algorithm, networks, 0.04, bf16=config.precision == "bf16")
+    with torch.no_grad():
+        batch = networks.actor(batch.clone())
+    return lambda: ppo.update(batch.clone(recurse=False)) and None
+
+
+def theirs(config: Config, batch: TensorDictBase) -> Callable[[], None]:
+    """rsl_rl's update."""
+    worlds, steps = batch.shape
+    algorithm, network = config.algorithm, config.network
+    seen = TensorDict({key: batch[key] for key in ("observation", "privileged")}, [worlds, steps])
+    groups = {"actor": ["observation"], "critic": ["observation", "privileged"]}
+
+    def model(which: str, outputs: int, cells: list[int], distribution: dict | None) -> MLPModel:
+        return MLPModel(seen[:, 0], groups, which, outputs, list(cells), network.activation, True, distribution)
+
+    gaussian = {"class_name": "GaussianDistribution", "init_std": network.init_std}
+    storage = RolloutStorage("rl", worlds, steps, seen[:, 0], [ACTIONS])
+    ppo = RslPPO(
+        model("actor", ACTIONS, network.actor, gaussian),
+        model("critic", 1, network.critic, None),
+        storage,
+        num_learning_epochs=algorithm.epochs,
+        num_mini_batches=algorithm.minibatches,
+        entropy_coef=algorithm.entropy_coeff,
+        use_clipped_value_loss=algorithm.clip_value,
+        desired_kl=algorithm.target_kl,
+    )
+    following = batch["next"]
+    with torch.inference_mode():
+        for t in range(steps):
+            ppo.act(seen[:, t])
+            extras = {"time_outs": following["truncated"][:, t, 0]}
+            ppo.process_env_step(seen[:, t], following["reward"][:, t, 0], following["done"][:, t, 0], extras)
+
+    def update() -> None:
+        # What was stored stays when rsl_rl clears its storage, so every update is of the same batch.
+        with torch.no_grad():
+            ppo.compute_returns(seen[:, -1])
+        ppo.update()
+
+    return update
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--worlds", type=int, default=1024)
+    parser.add_argument("--steps", type=int, default=24)
+    parser.add_argument("--network", default="small", help="a file of conf/network")
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--json", type=Path, help="file for the figures")
+    options = parser.parse_args()
+    torch.manual_seed(0)
+    torch.set_num_threads(available_cores())
+    settings = [f"network={options.network}", "network.symmetric=false", "network.normalize=true"]
+    config = compose(None, settings)
+    half = compose(None, [*settings, "precision=bf16"])
+    batch = random_batch(config, options.worlds, options.steps)
+    update, in_bf16, rsl_rl = ours(config, batch), ours(half, batch), theirs(config, batch)
+    runs = {
+        "skatemount, medium": ("medium", update),
+        "skatemount, bf16": ("medium", in_bf16),
+        "rsl_rl, medium": ("medium", rsl_rl),
+        "rsl_rl, highest": ("highest", rsl_rl),
+    }
+    best = dict.fromkeys(runs, float("inf"))
+    for round_ in range(options.rounds + 1):
+        for name, (precision, run) in runs.items():
+            torch.set_float32_matmul_precision(precision)
+            start = time.perf_counter()
+            run()
+            if round_:  # the first warms up
+                best[name] = min(best[name], time.perf_counter() - start)
+    print(
+        f"{options.worlds} x {options.steps} steps, {config.algorithm.epochs} epochs x {config.algorithm.minibatches} "
+        f"minibatches, {list(config.network.actor)}, {torch.get_num_threads()} threads; best of {options.rounds}"
+    )
+    ratio = best["rsl_rl, medium"]
+    for name, took in best.items():
+        print(f"  {name:20s} {1000 * took:8.1f} ms   {ratio / took:.2f} x rsl_rl at the same precision as ours")
+    if options.json:
+        options.json.write_text(json.dumps({"seconds": best, "worlds": options.worlds}, indent=2))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,60 @@
+"""`python -m skatemount.bench +stage=<name>`: how fast training is on this machine, and what limits it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from skatemount.config import Config
+
+NOT_TRAINING = ("bench", "json", "output")
+"""Settings of this program alone."""
+
+
+def bench(config: Config, overrides: list[str]) -> None:
+    """Measure a training and its parts side by side, print tables and draw a picture.
+
+    Raw physics is the engine stepping the same states with the same actions and nothing else; the other figures are
+    given as fractions of it. Settings: ``bench.*``, ``json`` (file for the figures), ``output`` (folder for the
+    picture). Everything else is the training's.
+
+    Args:
+        config: As composed from the command line.
+        overrides: What the user asked for.
+
+    Raises:
+        ConfigError: A setting that cannot be used.
+    """
+    from skatemount import atomic
+    from skatemount.cli import prepare_outputs
+    from skatemount.speed import report
+    from skatemount.speed.measure import measure
+
+    prepare_outputs(config)
+    training = [o for o in overrides if o.lstrip("+~").split("=")[0].split(".")[0] not in NOT_TRAINING]
+    measured = measure(config, training, lambda doing: print(f"measuring {doing}", flush=True))
+    print("", report.text(measured), sep="\n")
+    if config.output is not None:
+        picture = Path(config.output) / "bench.png"
+        report.draw(measured, picture)
+        print(f"written to {picture}")
+    if config.json is not None:
+        atomic.write_text(Path(config.json), json.dumps(measured.to_dict(), indent=2) + "\n")
+        print(f"written to {config.json}")
+
+
+def main() -> None:
+    """Run the program."""
+    from skatemount import opengl
+
+    opengl.disable()
+    # Only now: importing the configuration imports dm_control, which looks for a display otherwise.
+    from skatemount import cli
+
+    cli.run(bench, "bench")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""How fast training is, and what of: the measurements behind `python -m skatemount.bench`."""

@@ -1,0 +1,90 @@
+"""A training whose parts can be timed one by one, all on the same kind of states."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+
+from skatemount.training import Trainer
+
+SETTLE = 50
+"""Control steps until the worlds are out of step with each other, and as far into their episodes as they get."""
+KEPT = 8
+"""States that raw physics starts from."""
+
+Timed = Callable[[float], tuple[int, float]]
+"""Works for at least so many seconds: environment steps, and the seconds that they took."""
+
+
+class Workload:
+    """Raw physics, the environment and the whole of a training, for a stopwatch.
+
+    Args:
+        trainer: The training. It goes on learning while it is timed.
+    """
+
+    def __init__(self, trainer: Trainer):
+        self.trainer = trainer
+        self._env = trainer.env
+        self._iterations = trainer.iterations()
+        self._data: TensorDictBase = self._env.reset()
+        self._states: list[tuple[Any, torch.Tensor]] = []
+        for step in range(SETTLE + KEPT):
+            self._act()
+            if step >= SETTLE:
+                self._states.append((self._env.physics.raw_state(), self._env.mdp.targets(self._data["action"])))
+            _, self._data = self._env.step_and_maybe_reset(self._data)
+
+    def _act(self) -> None:
+        with torch.no_grad():
+            self._data = self.trainer.networks.actor(self._data)
+
+    def raw(self, seconds: float) -> tuple[int, float]:
+        """Physics alone, the policy's states and actions over and over: no resets, no observation, no reward."""
+        physics, substeps = self._env.physics, self.trainer.config.physics.substeps
+        here, spent, steps = physics.raw_state(), 0.0, 0
+        while spent < seconds:
+            state, targets = self._states[steps % KEPT]
+            physics.set_raw_state(state)
+            start = self._now()
+            physics.step(targets, substeps)
+            spent += self._now() - start
+            steps += 1
+        physics.set_raw_state(here)
+        return steps * self._env.num_worlds, spent
+
+    def env(self, seconds: float) -> tuple[int, float]:
+        """The environment with its resets, under the policy's actions; choosing them is not timed."""
+        spent, steps = 0.0, 0
+        while spent < seconds:
+            self._act()
+            start = self._now()
+            _, self._data = self._env.step_and_maybe_reset(self._data)
+            spent += self._now() - start
+            steps += 1
+        return steps * self._env.num_worlds, spent
+
+    def training(self, seconds: float) -> dict[str, tuple[int, float]]:
+        """Whole iterations: ``collect``, ``learn`` and both together with all that is between them, ``train``."""
+        spent = {"collect": 0.0, "learn": 0.0, "train": 0.0}
+        before, start = self.trainer.frames, self._now()
+        while (spent["train"] < seconds) or self.trainer.frames == before:
+            metrics = next(self._iterations)
+            spent["collect"] += metrics["Perf/collection_time"]
+            spent["learn"] += metrics["Perf/learning_time"]
+            spent["train"] = self._now() - start
+        steps = self.trainer.frames - before
+        return {name: (steps, took) for name, took in spent.items()}
+
+    @staticmethod
+    def _now() -> float:
+        return time.perf_counter()
+
+    def close(self) -> None:
+        """Stop everything."""
+        self._iterations.close()
+        self.trainer.close()
