@@ -105,8 +105,9 @@ class Trainer:
         mirrors = None
         if config.network.symmetric:
             mirrors = Mirror(*seen.mirror()), Mirror(*hidden.mirror()), Mirror(*mirror_map("joints", len(JOINTS)))
-        self.networks = ActorCritic(config.network, seen.size, hidden.size, len(JOINTS), mirrors)
-        self._order = torch.Generator().manual_seed(config.seed)
+        device = self.env.physics.device
+        self.networks = ActorCritic(config.network, seen.size, hidden.size, len(JOINTS), mirrors).to(device)
+        self._order = torch.Generator(device).manual_seed(config.seed)
         self.ppo = PPO(
             config.algorithm,
             self.networks,
@@ -114,7 +115,7 @@ class Trainer:
             bf16=config.precision == "bf16",
             generator=self._order,
         )
-        self.curriculum = make_curriculum(config.curriculum, self.task.scene.deck_height)
+        self.curriculum = make_curriculum(config.curriculum, self.task.scene.deck_height, device)
         if self.curriculum is not None:
             self.env.listeners.append(self.curriculum.record)
             self.env.place_starts(self.curriculum.place)
@@ -247,7 +248,7 @@ class Trainer:
                 metrics = self._learn(batch)
                 self.frames += batch_frames
                 self.iteration += 1
-                self.ppo.calm_down(self.frames)
+                self.ppo.calm_down(self.frames, self.config.total_frames)
                 now = time.monotonic()
                 self.elapsed = already + now - started
                 if lost := self.env.physics.overflowed():

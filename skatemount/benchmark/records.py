@@ -105,11 +105,12 @@ class Recorder:
         env, n = self._env, self._env.num_worlds
         self._board = env.sim.board_pos[:, :2].clone()
         self._start, self._fixed = env.episode.start.clone(), env.sim.board_fixed.clone()
-        self._sliding = torch.zeros(n, 4, dtype=torch.bool)
-        self._end, self._duration = torch.full((n,), -1), torch.zeros(n)
-        self._success, self._mount_time = torch.zeros(n, dtype=torch.bool), torch.full((n,), torch.nan)
-        self._feet, self._displacement = torch.zeros(n), torch.zeros(n)
-        self._slips, self._energy = torch.zeros(n, dtype=torch.int64), torch.zeros(n)
+        with self._board.device:
+            self._sliding = torch.zeros(n, 4, dtype=torch.bool)
+            self._end, self._duration = torch.full((n,), -1), torch.zeros(n)
+            self._success, self._mount_time = torch.zeros(n, dtype=torch.bool), torch.full((n,), torch.nan)
+            self._feet, self._displacement = torch.zeros(n), torch.zeros(n)
+            self._slips, self._energy = torch.zeros(n, dtype=torch.int64), torch.zeros(n)
         self._steps = 0
 
     @property
@@ -144,13 +145,12 @@ class Recorder:
         if self._steps > self._first_counted:
             self._feet = self._feet + episode.on_deck.sum(-1)
         new = done & running
-        if new.any():
-            early = outcome.ends.to(torch.int8).argmax(0) + 1
-            self._end = torch.where(new, torch.where(outcome.terminated, early, 0), self._end)
-            self._duration = torch.where(new, episode.step * self._step, self._duration)
-            self._success = torch.where(new, outcome.succeeded, self._success)
-            known = new & outcome.succeeded & episode.first_contact.isfinite()
-            self._mount_time = torch.where(known, success.time_to_mount(episode, self._step), self._mount_time)
+        early = outcome.ends.to(torch.int8).argmax(0) + 1
+        self._end = torch.where(new, torch.where(outcome.terminated, early, 0), self._end)
+        self._duration = torch.where(new, episode.step * self._step, self._duration)
+        self._success = torch.where(new, outcome.succeeded, self._success)
+        known = new & outcome.succeeded & episode.first_contact.isfinite()
+        self._mount_time = torch.where(known, success.time_to_mount(episode, self._step), self._mount_time)
 
     def records(self, first: int) -> EpisodeRecords:
         """The episodes, once all have ended.
@@ -162,14 +162,14 @@ class Recorder:
         return EpisodeRecords(
             number=torch.arange(first, first + n),
             variant=torch.zeros(n, dtype=torch.int64),
-            start=self._start,
-            board_fixed=self._fixed,
-            success=self._success,
-            end=self._end,
-            duration=self._duration,
-            mount_time=self._mount_time,
-            feet=torch.where(self._end == 0, self._feet / self._last, 0.0),
-            displacement=self._displacement,
-            slips=self._slips,
-            energy=self._energy,
+            start=self._start.cpu(),
+            board_fixed=self._fixed.cpu(),
+            success=self._success.cpu(),
+            end=self._end.cpu(),
+            duration=self._duration.cpu(),
+            mount_time=self._mount_time.cpu(),
+            feet=torch.where(self._end == 0, self._feet / self._last, 0.0).cpu(),
+            displacement=self._displacement.cpu(),
+            slips=self._slips.cpu(),
+            energy=self._energy.cpu(),
         )

@@ -17,6 +17,7 @@ from torch import Tensor
 from skatemount.curriculum.base import CurriculumConfig
 from skatemount.curriculum.heatmap import draw_heat_map
 from skatemount.envs.mdp import Outcome
+from skatemount.envs.random import uniform
 from skatemount.envs.starts import Placement
 from skatemount.envs.state import EpisodeState
 
@@ -45,7 +46,7 @@ class AutoCurriculum:
         edges = (config.distances, config.bearings, config.headings, config.heights)
         self.shape = (*map(len, edges), 2)
         bins = math.prod(self.shape)
-        self.trials, self.successes = torch.zeros(bins), torch.zeros(bins)
+        self.trials, self.successes = torch.zeros(2, bins)
         self.opened = torch.zeros(bins, dtype=torch.bool)
         self.opened.view(self.shape)[0, :, 0, 0, 0] = True
 
@@ -60,12 +61,11 @@ class AutoCurriculum:
         ring, bearing, heading, height, free = torch.unravel_index(bins, self.shape)
 
         def within(edges: list[float], index: Tensor, lowest: float = 0.0) -> Tensor:
-            bounds = torch.tensor([lowest, *edges])
-            share = torch.rand(n, generator=generator)
-            return bounds[index] + (bounds[index + 1] - bounds[index]) * share
+            bounds = torch.tensor([lowest, *edges], device=index.device)
+            return bounds[index] + (bounds[index + 1] - bounds[index]) * uniform((n,), generator)
 
         def sign() -> Tensor:
-            return 1 - 2.0 * torch.randint(2, (n,), generator=generator)
+            return 1 - 2.0 * torch.randint(2, (n,), generator=generator, device=generator.device)
 
         c = self.config
         reach, direction = within(c.distances, ring), torch.deg2rad(within(c.bearings, bearing))
@@ -75,7 +75,7 @@ class AutoCurriculum:
         yaw = torch.deg2rad(within(c.headings, heading)) * sign() + math.pi * (sign() > 0)
         step = within(c.heights, height, c.lowest)
         step = torch.where(height == len(c.heights) - 1, self._deck_height, step)
-        own = torch.rand(n, generator=generator) < c.own if c.own and self.opened.all() else None
+        own = uniform((n,), generator) < c.own if self._own_too() else None
         return Placement(xy=xy, yaw=yaw, step_height=step, board_fixed=free == 0, bin=bins, own=own)
 
     def rates(self) -> Tensor:
@@ -85,6 +85,9 @@ class AutoCurriculum:
     def weights(self) -> Tensor:
         """How often each bin is drawn, ``[bins]``, summing to 1."""
         rate, useful = self.rates(), self.opened & ~self._outgrown()
+        if self._own_too() and self.config.own_beyond is not None:
+            inside = torch.tensor(self.config.distances, device=useful.device) <= self.config.own_beyond
+            useful = (useful.view(self.shape) & inside.view(-1, 1, 1, 1, 1)).flatten()
         # A bin that has just opened is rarely solved, and is what has to be learnt; once it is solved, a lower step
         # than the board's own has opened what it could, and so has a fixed board where the free one is solved.
         left = (4 * rate * (1 - rate)).view(self.shape).clone()
@@ -94,6 +97,10 @@ class AutoCurriculum:
         alike = useful.to(rate.dtype)
         replay = self.config.replay
         return (1 - replay) * learning / learning.sum() + replay * alike / alike.sum()
+
+    def _own_too(self) -> bool:
+        """Whether a part of the starts is drawn from the stage's own ranges by now."""
+        return self.config.own > 0 and bool(self.opened.all())
 
     def _outgrown(self) -> Tensor:
         """Which bins with a lower step have nothing left to teach: the board's own height is solved there."""
@@ -109,13 +116,12 @@ class AutoCurriculum:
             outcome: What the step led to.
             done: ``[N]`` bool.
         """
-        ended = done & (episode.bin >= 0)
-        if not ended.any():
-            return
-        bins = episode.bin[ended]
-        good = (outcome.truncated & (episode.steadiness > self.config.steady))[ended]
-        self.trials.index_add_(0, bins, torch.ones(len(bins)))
-        self.successes.index_add_(0, bins, good.to(torch.float32))
+        ended = (done & (episode.bin >= 0)).to(torch.float32)
+        good = ended * (outcome.truncated & (episode.steadiness > self.config.steady))
+        # Every world takes part, with 0 where no episode of a bin ended: shapes do not depend on what happened.
+        bins = episode.bin.clamp(min=0)
+        self.trials.index_add_(0, bins, ended)
+        self.successes.index_add_(0, bins, good)
 
     def update(self) -> None:
         """Forget what is long ago, and open bins next to solved ones."""
@@ -167,5 +173,5 @@ class AutoCurriculum:
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Restore what `state_dict` returned."""
-        self.trials, self.successes = state["trials"].clone(), state["successes"].clone()
-        self.opened = state["opened"].clone()
+        for name, value in self.state_dict().items():
+            value.copy_(state[name])

@@ -24,7 +24,8 @@ KINDS = ("none", "stages", *CURRICULA)
 class Curriculum(Protocol):
     """Chooses where episodes start, and learns from how they ended.
 
-    Made with the settings and the board's own step height, m.
+    Made with the settings and the board's own step height, m, under ``torch.device``: what it then makes is where the
+    environment is.
     """
 
     def place(self, n: int, generator: torch.Generator) -> Placement:
@@ -95,6 +96,7 @@ class CurriculumConfig:
         replay: Share of the starts drawn from all open bins alike; the others go where success is neither rare nor
             sure.
         own: Share of the starts that are drawn from the stage's own ranges once every bin is open.
+        own_beyond: With them, bins farther out than this are left to them, m; none if null.
         harvest: Share of the starts in the stage's own ranges that are instead states of earlier episodes in which a
             robot was stuck: half-mounted more than two seconds after the first contact. With any kind but ``stages``.
     """
@@ -115,6 +117,7 @@ class CurriculumConfig:
     least: float = 15.0
     replay: float = 0.3
     own: float = 0.0
+    own_beyond: float | None = None
     harvest: float = 0.0
 
     def validate(self, where: str = "curriculum") -> None:
@@ -138,6 +141,11 @@ class CurriculumConfig:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be a share between 0 and 1")
         if not 0 <= self.own <= 1:
             raise ConfigError(f"{where}.own={self.own} must be a share between 0 and 1")
+        if self.own_beyond is not None and not self.own_beyond >= self.distances[0]:
+            raise ConfigError(
+                f"{where}.own_beyond={self.own_beyond} must be null, or at least distances[0]={self.distances[0]} m: "
+                "some bins must be left"
+            )
         if not 0 <= self.harvest < 1:
             raise ConfigError(f"{where}.harvest={self.harvest} must be a share, 0 or more and below 1")
         if self.harvest and self.kind == "stages":
@@ -155,12 +163,15 @@ class CurriculumConfig:
                 raise ConfigError(f"{where}.stages.{name}.budget={link.budget} must be a share above 0")
 
 
-def make_curriculum(config: CurriculumConfig, deck_height: float) -> Curriculum | None:
+def make_curriculum(
+    config: CurriculumConfig, deck_height: float, device: torch.device | None = None
+) -> Curriculum | None:
     """The curriculum that the settings name.
 
     Args:
         config: The settings.
         deck_height: The board's own step height, m.
+        device: Where the environment is: the tensors that it makes as it is made are there.
 
     Returns:
         None if start states are the stage's own throughout.
@@ -172,7 +183,8 @@ def make_curriculum(config: CurriculumConfig, deck_height: float) -> Curriculum 
         return None
     module, _, name = CURRICULA.get(config.kind, config.kind).partition(":")
     try:
-        made = getattr(importlib.import_module(module), name)(config, deck_height)
+        with device or torch.device("cpu"):
+            made = getattr(importlib.import_module(module), name)(config, deck_height)
     except (ImportError, AttributeError, TypeError, ValueError) as error:
         if isinstance(error, ConfigError):
             raise

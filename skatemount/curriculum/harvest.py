@@ -12,6 +12,7 @@ from skatemount.envs.geometry import quat_from_matrix, rotate
 from skatemount.envs.mdp import Outcome
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.random import uniform
 from skatemount.envs.state import EpisodeState, SimState
 
 SIZE = 4096
@@ -61,9 +62,9 @@ def as_starts(sim: SimState, deck_height: float) -> WorldStart:
         ground_height=sim.ground_height.clone(),
         board_fixed=sim.board_fixed.clone(),
         board_speed=rotate(to_board, sim.board_lin_vel)[:, 0] * ~sim.board_fixed,
-        force=torch.zeros(n, 3),
-        torque=torch.zeros(n, 3),
-        bin=torch.full((n,), -1),
+        force=torch.zeros_like(position),
+        torque=torch.zeros_like(position),
+        bin=torch.full((n,), -1, device=position.device),
     )
 
 
@@ -91,7 +92,7 @@ class Harvest:
         rows = (half_mounted(env.sim, episode) & (trying > self._after) & ~done).nonzero().flatten()
         if not len(rows):
             return
-        rows = rows[torch.randperm(len(rows), generator=env.generator)[:PER_STEP]]
+        rows = rows[torch.randperm(len(rows), generator=env.generator, device=rows.device)[:PER_STEP]]
         # Mypy does not see tensorclass's own.
         new = as_starts(env.sim[rows], env.task.scene.deck_height)  # type: ignore[index]
         self._kept = new if self._kept is None else WorldStart.cat([self._kept, new])[-SIZE:]
@@ -106,7 +107,7 @@ class Harvest:
         if self._kept is None:
             return starts
         n = len(starts)
-        replaced = (torch.rand(n, generator=generator) < self._share) & (starts.bin < 0)
-        picked = self._kept[torch.randint(len(self._kept), (n,), generator=generator)]
+        replaced = (uniform((n,), generator) < self._share) & (starts.bin < 0)
+        picked = self._kept[torch.randint(len(self._kept), (n,), generator=generator, device=generator.device)]
         picked.force, picked.torque = starts.force, starts.torque
         return WorldStart.where(replaced, picked, starts)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from skatemount.envs.random import uniform
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.errors import ConfigError, check_range
 
@@ -94,6 +95,7 @@ class Commander:
         self._config = config
         self._steps = max(1, round(config.resample / control_step))
         self._generator = generator
+        self._bounds = torch.tensor([config.forward, config.left, config.turn], device=generator.device)
 
     def update(self, sim: SimState, episode: EpisodeState) -> None:
         """Set the command of every world for the next step, in place.
@@ -111,11 +113,10 @@ class Commander:
             episode.command_steps = left - 1
 
     def _draw(self, n: int) -> Tensor:
-        c = self._config
-        bounds = torch.tensor([c.forward, c.left, c.turn])
-        share = torch.rand(n, 3, generator=self._generator)
+        c, bounds = self._config, self._bounds
+        share = uniform((n, 3), self._generator)
         command = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * share
         slow = torch.linalg.vector_norm(command[:, :2], dim=-1, keepdim=True) < c.deadband
         command[:, :2] = torch.where(slow, 0.0, command[:, :2])
-        standing = torch.rand(n, 1, generator=self._generator) < c.standing
+        standing = uniform((n, 1), self._generator) < c.standing
         return torch.where(standing, 0.0, command)

@@ -152,3 +152,16 @@ def facing(rotation: Tensor, before: Tensor | None = None) -> Tensor:
     if before is None:
         return torch.where(ahead < 0, -1.0, 1.0)
     return torch.where(ahead * before < -ACROSS, -before, before)
+
+
+def beyond_rectangle(xy: Tensor, half: tuple[float, float]) -> Tensor:
+    """How far points are outside a rectangle about the origin along each axis, negative inside.
+
+    Args:
+        xy: ``[..., 2]`` or more columns, of which the first two count, m.
+        half: Half length (x) and half width (y), m.
+
+    Returns:
+        ``[..., 2]`` m.
+    """
+    return torch.stack((xy[..., 0].abs() - half[0], xy[..., 1].abs() - half[1]), -1)

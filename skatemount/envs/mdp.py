@@ -55,6 +55,7 @@ class Mdp:
 
     Attributes:
         context: Constants.
+        device: Where states are expected: that of the generator.
         criterion: What an episode must achieve, a name of `skatemount.envs.success.CRITERIA`.
         observation: What the policy sees.
         privileged: What only the critic sees besides.
@@ -64,22 +65,23 @@ class Mdp:
     """
 
     def __init__(self, config: TaskConfig, scene: Scene, generator: torch.Generator):
-        self.context = TaskContext.of(scene, config.episode_length)
-        self.generator = generator
-        seen = config.observation
-        self.observation = ObservationTable(seen.policy, self.context, "observation.policy", seen.history_length)
-        self.privileged = ObservationTable(seen.privileged, self.context, "observation.privileged")
-        self.rewards = RewardTable(config.reward, self.context)
-        self.terminations = TerminationTable(config.termination, self.context)
+        self.generator, self.device = generator, generator.device
+        robot, seen = scene.robot, config.observation
+        # What is made of numbers is made where it is going to be used.
+        with self.device:
+            self.context = TaskContext.of(scene, config.episode_length)
+            self.observation = ObservationTable(seen.policy, self.context, "observation.policy", seen.history_length)
+            self.privileged = ObservationTable(seen.privileged, self.context, "observation.privileged")
+            self.rewards = RewardTable(config.reward, self.context)
+            self.terminations = TerminationTable(config.termination, self.context)
+            self._scale = torch.as_tensor(robot.action_scale, dtype=torch.float32)
         self._commander = Commander(config.command, self.context.control_step, generator)
         self._fade = math.exp(-self.context.control_step / 0.35)
         self.criterion = config.success
         self.enough = math.inf
         self._succeeded = success.CRITERIA[config.success]
         self._noise = generator if seen.noise else None
-        robot = scene.robot
         self._clip = robot.config.action_clip
-        self._scale = torch.as_tensor(robot.action_scale, dtype=torch.float32)
 
     def targets(self, action: Tensor) -> Tensor:
         """Joint position targets of actions.
@@ -102,7 +104,7 @@ class Mdp:
         Returns:
             ``[N]`` episodes at their start.
         """
-        fresh = EpisodeState.zeros(sim.base_pos.shape[0], self.observation.size)
+        fresh = EpisodeState.zeros(sim.base_pos.shape[0], self.observation.size, self.device)
         if bins is not None:
             fresh.bin = bins
         distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)

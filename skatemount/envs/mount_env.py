@@ -62,10 +62,10 @@ class MountEnv(EnvBase):
         config = task.config.physics
         physics = make_physics(task.scene, config, num_worlds, threads)
         n = physics.num_worlds
-        super().__init__(device=torch.device("cpu"), batch_size=torch.Size([n]))
+        super().__init__(device=physics.device, batch_size=torch.Size([n]))
         self.task = task
         self.physics: Physics = physics
-        self.generator = torch.Generator()
+        self.generator = torch.Generator(physics.device)
         self.mdp = task.make_mdp(self.generator)
         if enough is not None:
             self.mdp.enough = enough
@@ -99,15 +99,18 @@ class MountEnv(EnvBase):
     def _make_specs(self, n: int) -> None:
         bound = self.task.scene.robot.config.action_clip
         self.observation_spec = Composite(
-            observation=Unbounded((n, self.mdp.observation.size)),
-            privileged=Unbounded((n, self.mdp.privileged.size)),
-            success=Binary(n=1, shape=(n, 1), dtype=torch.bool),
+            observation=Unbounded((n, self.mdp.observation.size), device=self.device),
+            privileged=Unbounded((n, self.mdp.privileged.size), device=self.device),
+            success=self._flag(n),
             shape=(n,),
         )
-        self.action_spec = Bounded(-bound, bound, shape=(n, 12), dtype=torch.float32)
-        self.reward_spec = Unbounded((n, 1))
-        flags = {key: Binary(n=1, shape=(n, 1), dtype=torch.bool) for key in ("done", "terminated", "truncated")}
+        self.action_spec = Bounded(-bound, bound, shape=(n, 12), dtype=torch.float32, device=self.device)
+        self.reward_spec = Unbounded((n, 1), device=self.device)
+        flags = {key: self._flag(n) for key in ("done", "terminated", "truncated")}
         self.full_done_spec = Composite(**flags, shape=(n,))
+
+    def _flag(self, n: int) -> Binary:
+        return Binary(n=1, shape=(n, 1), dtype=torch.bool, device=self.device)
 
     def _set_seed(self, seed: int | None) -> None:
         """Begin anew from a seed: randomised physics, queued starts, pushes and noise alike."""
@@ -118,12 +121,12 @@ class MountEnv(EnvBase):
         physics = self.physics
         self._randomizer = Randomizer(config.randomization, physics.index, physics.model, self.generator)
         self._randomizer.build_worlds(physics)
-        self._episode = EpisodeState.zeros(n, self.mdp.observation.size)
+        self._episode = EpisodeState.zeros(n, self.mdp.observation.size, self.device)
         self._begun = False
         self.statistics.clear()
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
-        mask = torch.ones(self.num_worlds, dtype=torch.bool)
+        mask = torch.ones(self.num_worlds, dtype=torch.bool, device=self.device)
         if tensordict is not None and "_reset" in tensordict.keys():
             mask = tensordict["_reset"].reshape(self.num_worlds)
         rows, sim, begun = self._restart(mask)
@@ -145,7 +148,8 @@ class MountEnv(EnvBase):
         sim = self.physics.state(rows)
         begun = self.mdp.begin(sim, start.bin[rows])
         if self._random_phase and not self._begun:
-            begun.step = torch.randint(self.mdp.context.episode_steps, (len(rows),), generator=self.generator)
+            most, here = self.mdp.context.episode_steps, self.device
+            begun.step = torch.randint(most, (len(rows),), generator=self.generator, device=here)
             self.statistics.leave_out()
         self._begun = True
         # A copy: what the step handed out (``terminated``) shares its memory. Mypy does not see tensorclass's own.
@@ -175,7 +179,7 @@ class MountEnv(EnvBase):
         self._draw_starts_anew()
 
     def _draw_starts_anew(self) -> None:
-        sampler = self.task.make_sampler(self._place)
+        sampler = self.task.make_sampler(self._place, self.device)
         self._queue = StartQueue(sampler, max(self.num_worlds, 1024), self.generator, self._change)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs.entities.a1 import scale_gains
+from skatemount.envs.random import uniform
 from skatemount.envs.scene import SceneIndex
 from skatemount.errors import ConfigError, check_range
 
@@ -96,13 +97,14 @@ class Randomizer:
         self._model = model
         self._generator = generator
 
-    def _uniform(self, bounds: list[float], *shape: int) -> Tensor:
-        low, high = bounds
-        return low + (high - low) * torch.rand(*shape, generator=self._generator, dtype=torch.float64)
+    def _uniform(self, bounds: list[float], of: Tensor, *shape: int) -> Tensor:
+        """``[N, *shape]`` random numbers for a field of every world."""
+        return uniform((len(of), *shape), self._generator, bounds, torch.float64).to(of.dtype)
 
     def _field(self, physics: ModelFields, name: str) -> tuple[Tensor, Tensor]:
         """A field of every world, and its nominal value as a batch of one."""
-        return physics.field(name), torch.from_numpy(getattr(self._model, name)).unsqueeze(0)
+        values = physics.field(name)
+        return values, torch.from_numpy(getattr(self._model, name)).unsqueeze(0).to(values)
 
     def build_worlds(self, physics: ModelFields) -> None:
         """Draw what is drawn once a world: friction, masses, inertias, bushings.
@@ -114,18 +116,17 @@ class Randomizer:
         if c.friction != _one():
             friction, nominal = self._field(physics, "geom_friction")
             geoms = index.touched_geoms
-            friction[:, geoms, 0] = nominal[:, geoms, 0] * self._uniform(c.friction, len(friction), 1)
+            friction[:, geoms, 0] = nominal[:, geoms, 0] * self._uniform(c.friction, friction, 1)
         if c.truck_stiffness != _one():
             stiffness, nominal = self._field(physics, "jnt_stiffness")
             trucks = index.truck_joints
-            stiffness[:, trucks] = nominal[:, trucks] * self._uniform(c.truck_stiffness, len(stiffness), 1)
+            stiffness[:, trucks] = nominal[:, trucks] * self._uniform(c.truck_stiffness, stiffness, 1)
         changed = False
         if c.trunk_mass != _zero() or c.board_mass != _one():
             mass, nominal = self._field(physics, "body_mass")
-            n = len(mass)
-            board = self._uniform(c.board_mass, n)
+            board = self._uniform(c.board_mass, mass)
             trunk, deck = index.trunk_body, index.board_body
-            mass[:, trunk] = (nominal[:, trunk] + self._uniform(c.trunk_mass, n)).clamp(min=0.5)
+            mass[:, trunk] = (nominal[:, trunk] + self._uniform(c.trunk_mass, mass)).clamp(min=0.5)
             mass[:, deck] = nominal[:, deck] * board
             inertia, nominal_inertia = self._field(physics, "body_inertia")
             inertia[:, deck] = nominal_inertia[:, deck] * board.unsqueeze(-1)
@@ -133,13 +134,13 @@ class Randomizer:
         if c.inertia != _one():
             inertia, nominal = self._field(physics, "body_inertia")
             bodies = index.robot_bodies
-            factor = self._uniform(c.inertia, len(inertia), len(bodies), 1)
+            factor = self._uniform(c.inertia, inertia, len(bodies), 1)
             inertia[:, bodies] = nominal[:, bodies] * factor
             changed = True
         if c.trunk_com != _zero():
             com, nominal = self._field(physics, "body_ipos")
             trunk = index.trunk_body
-            com[:, trunk] = nominal[:, trunk] + self._uniform(c.trunk_com, len(com), 3)
+            com[:, trunk] = nominal[:, trunk] + self._uniform(c.trunk_com, com, 3)
             changed = True
         if changed:
             physics.refresh_constants()
@@ -155,7 +156,7 @@ class Randomizer:
         if c.kp == _one() and c.kd == _one():
             return
         gain, nominal = self._field(physics, "actuator_gainprm")
-        kp, kd = (torch.exp(self._uniform([math.log(b) for b in bounds], len(gain), 1)) for bounds in (c.kp, c.kd))
+        kp, kd = (torch.exp(self._uniform([math.log(b) for b in bounds], gain, 1)) for bounds in (c.kp, c.kd))
         gain.copy_(torch.where(mask.view(-1, 1, 1), scale_gains(nominal.expand_as(gain), kp, kd), gain))
 
 
@@ -181,8 +182,7 @@ class Pushes:
         return self.config.push_interval is not None and self.config.push_velocity != _zero()
 
     def _intervals(self, n: int) -> Tensor:
-        low, high = self.config.push_interval or (1e9, 1e9)
-        return low + (high - low) * torch.rand(n, generator=self._generator)
+        return uniform((n,), self._generator, self.config.push_interval or (1e9, 1e9))
 
     def due(self) -> tuple[Tensor, Tensor]:
         """Advance by a control step.
@@ -194,8 +194,7 @@ class Pushes:
         self._left -= self._step
         due = self._left <= 0
         self._left = torch.where(due, self._intervals(n), self._left)
-        low, high = self.config.push_velocity
-        velocity = low + (high - low) * torch.rand(n, 3, generator=self._generator)
+        velocity = uniform((n, 3), self._generator, self.config.push_velocity)
         velocity[:, 2] = 0.0
         return due, velocity
 

@@ -13,11 +13,11 @@ from skatemount.envs.entities.skateboard_config import SkateboardConfig
 from skatemount.envs.geometry import quat_from_euler, quat_to_matrix, rotate
 from skatemount.envs.legs import Legs
 from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.random import either_sign, uniform
 from skatemount.envs.terms import TaskContext
 from skatemount.errors import ConfigError, check_range
 
 _CAPSULE_RADIUS = 0.02
-_ALONG = torch.linspace(0.0, 1.0, 6)
 _ROUNDS = 40
 _MAX_TILT = 0.5
 
@@ -162,6 +162,7 @@ class StartSampler:
             )
         self.config = config
         self._legs = legs
+        self._along = torch.linspace(0.0, 1.0, 6)
         self._place = place
         self._context = context
         self._deck = torch.tensor(context.deck_half)
@@ -201,20 +202,20 @@ class StartSampler:
     def _within_ranges(self, n: int, generator: torch.Generator) -> Placement:
         c, deck = self.config, self._context.deck_height
         if c.distance is not None:
-            bearing = 2 * math.pi * torch.rand(n, generator=generator)
+            bearing = uniform((n,), generator, (0.0, 2 * math.pi))
             direction = torch.stack((bearing.cos(), bearing.sin()), 1)
-            xy = _uniform(c.distance, generator, n, 1) * direction
+            xy = uniform((n, 1), generator, c.distance) * direction
         else:
-            xy = torch.stack((_uniform(c.x, generator, n), _uniform(c.y, generator, n)), 1)
+            xy = torch.stack((uniform((n,), generator, c.x), uniform((n,), generator, c.y)), 1)
             if c.both_sides:
-                xy[:, 1] *= _either_sign(generator, n)
-        step = torch.full((n,), deck) if c.step_height is None else _uniform(c.step_height, generator, n)
+                xy[:, 1] *= either_sign(n, generator)
+        step = xy.new_full((n,), deck) if c.step_height is None else uniform((n,), generator, c.step_height)
         return Placement(
             xy=xy,
-            yaw=_uniform(c.yaw, generator, n),
+            yaw=uniform((n,), generator, c.yaw),
             step_height=step,
-            board_fixed=torch.rand(n, generator=generator) < c.board_fixed,
-            bin=torch.full((n,), -1),
+            board_fixed=uniform((n,), generator) < c.board_fixed,
+            bin=torch.full((n,), -1, device=xy.device),
         )
 
     def _candidates(self, n: int, generator: torch.Generator) -> tuple[WorldStart, Tensor]:
@@ -224,27 +225,28 @@ class StartSampler:
             place = _either(place.own, self._within_ranges(n, generator), place)
         xy, yaw, ground = place.xy, place.yaw, context.deck_height - place.step_height
 
-        def uniform(bounds: list[float], *shape: int) -> Tensor:
-            return _uniform(bounds, generator, n, *shape)
+        def draw(bounds: list[float], *shape: int) -> Tensor:
+            return uniform((n, *shape), generator, bounds)
 
-        quat = quat_from_euler(uniform(c.roll), uniform(c.pitch), yaw)
-        heading = quat_to_matrix(quat_from_euler(torch.zeros(n), torch.zeros(n), yaw))
+        quat = quat_from_euler(draw(c.roll), draw(c.pitch), yaw)
+        level = torch.zeros_like(yaw)
+        heading = quat_to_matrix(quat_from_euler(level, level, yaw))
         nominal = self._nominal_feet.expand(n, 4, 3)
         support = self._support(rotate(heading, nominal)[..., :2] + xy.unsqueeze(1), ground)
         trunk = support.mean(1) + context.stance_height
         feet = nominal.clone()
         feet[..., 2] = support + context.foot_radius - trunk.unsqueeze(1)
-        joints = self._legs.joints(feet) + uniform(c.joint_pos, 12)
+        joints = self._legs.joints(feet) + draw(c.joint_pos, 12)
         joints = joints.clamp(context.soft_limits[:, 0], context.soft_limits[:, 1])
 
         rotation = quat_to_matrix(quat)
         offset = torch.cat((xy, trunk.unsqueeze(1)), 1)
-        thighs, calves = self._legs.points(joints, _ALONG, _ALONG)
+        thighs, calves = self._legs.points(joints, self._along, self._along)
         points = torch.cat((thighs, calves), -2).flatten(1, 2)
         world = (rotate(rotation, points) + offset.unsqueeze(1)).unflatten(1, (4, -1))
         foot = world[:, :, -1]
         gap = foot[..., 2] - context.foot_radius - self._support(foot[..., :2], ground)
-        lift = -gap.amin(1) + uniform(c.height)
+        lift = -gap.amin(1) + draw(c.height)
         offset[:, 2] += lift
         world[..., 2] += lift[:, None, None]
 
@@ -253,16 +255,16 @@ class StartSampler:
         start = WorldStart(
             base_pos=offset,
             base_quat=quat,
-            base_lin_vel=uniform(c.lin_vel, 3),
-            base_ang_vel=uniform(c.ang_vel, 3),
+            base_lin_vel=draw(c.lin_vel, 3),
+            base_ang_vel=draw(c.ang_vel, 3),
             joint_pos=joints,
-            joint_vel=uniform(c.joint_vel, 12),
+            joint_vel=draw(c.joint_vel, 12),
             ground_height=ground,
             board_fixed=place.board_fixed,
             board_speed=self._board_speed(place.board_fixed, generator),
             bin=place.bin,
-            force=uniform(c.force, 3),
-            torque=uniform(c.torque, 3),
+            force=draw(c.force, 3),
+            torque=draw(c.torque, 3),
         )
         return start, valid
 
@@ -270,8 +272,8 @@ class StartSampler:
         n, bounds = len(fixed), self.config.board_speed
         if bounds == _zero():
             # Nothing is drawn, so that a seed's starts are what they were without this setting.
-            return torch.zeros(n)
-        speed = _uniform(bounds, generator, n) * _either_sign(generator, n)
+            return torch.zeros(n, device=fixed.device)
+        speed = uniform((n,), generator, bounds) * either_sign(n, generator)
         return torch.where(fixed, 0.0, speed)
 
     def _support(self, xy: Tensor, ground: Tensor) -> Tensor:
@@ -299,15 +301,6 @@ def _either(first: Tensor, one: Placement, other: Placement) -> Placement:
         board_fixed=torch.where(first, one.board_fixed, other.board_fixed),
         bin=torch.where(first, one.bin, other.bin),
     )
-
-
-def _uniform(bounds: list[float], generator: torch.Generator, *shape: int) -> Tensor:
-    low, high = bounds
-    return low + (high - low) * torch.rand(*shape, generator=generator)
-
-
-def _either_sign(generator: torch.Generator, n: int) -> Tensor:
-    return torch.where(torch.rand(n, generator=generator) < 0.5, -1.0, 1.0)
 
 
 class StartQueue:

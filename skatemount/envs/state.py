@@ -6,6 +6,8 @@ its origin at the centre of the deck's top surface.
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from tensordict import tensorclass
 from torch import Tensor
@@ -87,11 +89,12 @@ class StateReader:
 
     Args:
         index: Where the scene's sensors put what.
+        device: Where the arrays will be.
     """
 
-    def __init__(self, index: SceneIndex):
+    def __init__(self, index: SceneIndex, device: torch.device | None = None):
         self._sensors = index.sensors
-        self._bodies = torch.as_tensor(index.bodies)
+        self._bodies = torch.as_tensor(index.bodies, device=device)
         self._num_bodies = len(index.body_names)
 
     def read(self, sensordata: Tensor, joint_acc: Tensor, ground_height: Tensor, board_fixed: Tensor) -> SimState:
@@ -186,15 +189,16 @@ class EpisodeState:
     seen: Tensor
 
     @classmethod
-    def zeros(cls, num_worlds: int, observed: int = 0) -> EpisodeState:
+    def zeros(cls, num_worlds: int, observed: int = 0, device: torch.device | None = None) -> EpisodeState:
         """Episodes that are about to begin.
 
         Args:
             num_worlds: N.
             observed: Values in the policy's observation.
+            device: Where they are kept.
         """
         n = num_worlds
-        f = torch.zeros
+        f, full = partial(torch.zeros, device=device), partial(torch.full, device=device)
         return cls(
             step=f(n, dtype=torch.int64),
             action=f(n, 12),
@@ -203,19 +207,19 @@ class EpisodeState:
             command_steps=f(n, dtype=torch.int64),
             command_error=f(n, 2),
             on_deck=f(n, 4, dtype=torch.bool),
-            off_time=torch.full((n, 4), torch.inf),
+            off_time=full((n, 4), torch.inf),
             touchdown=f(n, 4, dtype=torch.bool),
             touching=f(n, 4, dtype=torch.bool),
             steadiness=f(n),
             mounted=f(n, dtype=torch.bool),
             mounted_time=f(n),
-            first_contact=torch.full((n,), torch.inf),
+            first_contact=full((n,), torch.inf),
             distance=f(n),
             previous_distance=f(n),
             terminated=f(n, dtype=torch.bool),
-            bin=torch.full((n,), -1),
+            bin=full((n,), -1),
             start=f(n, 3),
-            facing=torch.ones(n, 1),
+            facing=full((n, 1), 1.0),
             seen=f(n, observed),
             batch_size=[n],
         )

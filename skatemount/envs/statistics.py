@@ -9,6 +9,9 @@ from skatemount.envs import success
 from skatemount.envs.mdp import Mdp, Outcome
 from skatemount.envs.state import EpisodeState
 
+SUMS = ("episodes", "successes", "length", "feet", "mount_time", "time_outs")
+"""What is added up over the episodes that ended: how many, how many succeeded, and so on."""
+
 
 class EpisodeStatistics:
     """Means over the episodes that ended since the last `pop`, under the field's metric names.
@@ -23,15 +26,16 @@ class EpisodeStatistics:
         self._seconds = mdp.context.episode_steps * self._step
         self._mounts = mdp.criterion == "mount"
         self._rewards, self._ends = mdp.rewards.names, mdp.end_names()
-        self._n = num_worlds
+        self._n, self._device = num_worlds, mdp.device
         self.clear()
 
     def clear(self) -> None:
         """Forget everything, the running episodes' returns included."""
-        self._returns = torch.zeros(len(self._rewards), self._n)
-        self._feet = torch.zeros(self._n)
-        self._steps = torch.zeros(self._n)
-        self._counted = torch.ones(self._n, dtype=torch.bool)
+        with self._device:
+            self._returns = torch.zeros(len(self._rewards), self._n)
+            self._feet = torch.zeros(self._n)
+            self._steps = torch.zeros(self._n)
+            self._counted = torch.ones(self._n, dtype=torch.bool)
         self._forget()
 
     def restart(self, mask: Tensor) -> None:
@@ -40,9 +44,9 @@ class EpisodeStatistics:
         Args:
             mask: ``[N]`` bool, worlds that start anew, whether their episodes had ended or not.
         """
-        self._returns[:, mask] = 0.0
-        self._feet[mask] = 0.0
-        self._steps[mask] = 0.0
+        self._returns.masked_fill_(mask, 0.0)
+        self._feet.masked_fill_(mask, 0.0)
+        self._steps.masked_fill_(mask, 0.0)
         self._counted |= mask
 
     def leave_out(self) -> None:
@@ -50,10 +54,10 @@ class EpisodeStatistics:
         self._counted[:] = False
 
     def _forget(self) -> None:
-        self._episodes = self._successes = self._length = self._feet_sum = self._mount_time = 0.0
-        self._shares = torch.zeros(len(self._rewards))
-        self._end_counts = torch.zeros(len(self._ends))
-        self._time_outs = 0.0
+        with self._device:
+            self._sums = torch.zeros(len(SUMS), dtype=torch.float64)
+            self._shares = torch.zeros(len(self._rewards))
+            self._end_counts = torch.zeros(len(self._ends))
 
     def add(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
         """Account for a step.
@@ -66,40 +70,42 @@ class EpisodeStatistics:
         self._returns += outcome.shares
         self._feet += episode.on_deck.sum(-1)
         self._steps += 1.0
-        if not done.any():
-            return
         counted = done & self._counted
         ended = counted.to(torch.float32)
-        succeeded = outcome.succeeded & counted
-        self._episodes += float(ended.sum())
-        self._successes += float(succeeded.sum())
-        self._length += float((episode.step * counted).sum())
-        self._feet_sum += float((self._feet * ended / self._steps).sum())
-        times = success.time_to_mount(episode, self._step)
-        self._mount_time += float(torch.where(succeeded, times, 0.0).sum())
-        self._shares = self._shares + self._returns @ ended
-        self._end_counts = self._end_counts + (outcome.ends & counted).sum(1)
-        self._time_outs += float((outcome.truncated & counted).sum())
+        succeeded = (outcome.succeeded & counted).to(torch.float32)
+        times = torch.where(outcome.succeeded, success.time_to_mount(episode, self._step), 0.0)
+        values = (
+            ended,
+            succeeded,
+            episode.step * ended,
+            self._feet * ended / self._steps,
+            times * succeeded,
+            outcome.truncated * ended,
+        )
+        self._sums += torch.stack(values).sum(1)
+        self._shares += self._returns @ ended
+        self._end_counts += outcome.ends.to(torch.float32) @ ended
         self.restart(done)
 
     def pop(self) -> dict[str, float]:
         """Means since the last call; nothing if no episode ended."""
-        n = self._episodes
+        sums = dict(zip(SUMS, self._sums.tolist()))
+        n = sums["episodes"]
         if not n:
             return {}
         shares = self._shares / n
         metrics = {
             "Train/mean_reward": float(shares.sum()),
-            "Train/mean_episode_length": self._length / n,
-            "Success/rate": self._successes / n,
-            "Success/feet_on_board": self._feet_sum / n,
+            "Train/mean_episode_length": sums["length"] / n,
+            "Success/rate": sums["successes"] / n,
+            "Success/feet_on_board": sums["feet"] / n,
         }
-        if self._successes and self._mounts:
-            metrics["Success/time_to_mount"] = self._mount_time / self._successes
+        if sums["successes"] and self._mounts:
+            metrics["Success/time_to_mount"] = sums["mount_time"] / sums["successes"]
         for name, value in zip(self._rewards, shares.tolist()):
             metrics[f"Episode_Reward/{name}"] = value / self._seconds
         for name, value in zip(self._ends, (self._end_counts / n).tolist()):
             metrics[f"Episode_Termination/{name}"] = value
-        metrics["Episode_Termination/time_out"] = self._time_outs / n
+        metrics["Episode_Termination/time_out"] = sums["time_outs"] / n
         self._forget()
         return metrics

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from skatemount.envs.geometry import beyond_rectangle
 from skatemount.envs.state import EpisodeState, SimState
 
 PRESS = 1.0
@@ -73,7 +74,7 @@ def nearly_mounted(sim: SimState, deck_half: tuple[float, float], foot_radius: f
         foot_radius: m.
     """
     position = sim.foot_pos_board
-    over = (position[..., :2].abs() < torch.tensor(deck_half)).all(-1)
+    over = (beyond_rectangle(position, deck_half) < 0).all(-1)
     near = over & (position[..., 2] > 0.0) & (position[..., 2] < foot_radius + 0.02)
     sound = ~feet_elsewhere(sim).any(-1) & (-sim.gravity[:, 2] > math.cos(MAX_TRUNK_TILT))
     return near.float().mean(-1) * sound

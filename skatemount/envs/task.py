@@ -22,6 +22,7 @@ from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.settings import TaskConfig
 from skatemount.envs.starts import Place, StartSampler
 from skatemount.envs.state import EpisodeState, SimState, StateReader
+from skatemount.envs.terms import TaskContext
 
 
 class MountTask(composer.Task):
@@ -70,14 +71,17 @@ class MountTask(composer.Task):
         """The task's mathematics with a source of randomness of its own."""
         return Mdp(self.config, self.scene, generator)
 
-    def make_sampler(self, place: Place | None = None) -> StartSampler:
+    def make_sampler(self, place: Place | None = None, device: torch.device | None = None) -> StartSampler:
         """The source of start states.
 
         Args:
             place: Draws where they are; by the start settings' ranges if none.
+            device: Where they are drawn, that of the generators to come; the CPU if not given.
         """
-        scene, legs = self.scene, Legs(self.scene.robot.kinematics)
-        return StartSampler(self.config.start, legs, self._mdp.context, scene.board.config, place)
+        with device or torch.device("cpu"):
+            context = TaskContext.of(self.scene, self.config.episode_length)
+            legs = Legs(self.scene.robot.kinematics)
+            return StartSampler(self.config.start, legs, context, self.scene.board.config, place)
 
     @property
     def root_entity(self) -> composer.Arena:

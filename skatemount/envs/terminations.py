@@ -79,5 +79,5 @@ class TerminationTable:
     def __call__(self, sim: SimState, episode: EpisodeState) -> Tensor:
         """Which terminations are true, ``[terms, N]`` bool."""
         if not self._functions:
-            return torch.zeros(0, sim.base_pos.shape[0], dtype=torch.bool)
+            return sim.base_pos.new_zeros(0, sim.base_pos.shape[0], dtype=torch.bool)
         return torch.stack([f(sim, episode, self._context) for f in self._functions])

@@ -40,6 +40,9 @@ class AlgorithmConfig:
         final_std: What the upper bound of the actions' standard deviation falls to, from ``network.max_std``; null
             leaves it there.
         std_frames: Frames until it is there; it falls by the same share in each.
+        final_kl: What ``target_kl`` falls to over the last frames, by the same share in each; null leaves it. Small
+            steps at the end settle a policy that large ones have kept moving about.
+        settle: Share of all frames over which it does.
     """
 
     epochs: int = 5
@@ -57,6 +60,8 @@ class AlgorithmConfig:
     max_grad_norm: float = 1.0
     final_std: float | None = None
     std_frames: int = 10_000_000
+    final_kl: float | None = None
+    settle: float = 0.2
 
     def validate(self, where: str = "algorithm") -> None:
         """Raise `ConfigError` for values that cannot be used."""
@@ -64,7 +69,7 @@ class AlgorithmConfig:
             if getattr(self, name) < 1:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
         positive = ("learning_rate", "min_learning_rate", "max_learning_rate", "clip", "horizon", "trace")
-        for name in (*positive, "max_grad_norm", "target_kl", "final_std", "std_frames"):
+        for name in (*positive, "max_grad_norm", "target_kl", "final_std", "std_frames", "final_kl", "settle"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ConfigError(f"{where}.{name}={value} must be above 0 and finite")
@@ -78,9 +83,18 @@ class AlgorithmConfig:
                 f"{where}.learning_rate={self.learning_rate} must be within min_learning_rate={self.min_learning_rate} "
                 f"and max_learning_rate={self.max_learning_rate}, between which it follows the KL"
             )
+        if self.final_kl is not None and self.target_kl is None:
+            raise ConfigError(f"{where}.final_kl={self.final_kl} needs {where}.target_kl, from which it falls")
+        if self.settle > 1:
+            raise ConfigError(f"{where}.settle={self.settle} must be a share of the frames, at most 1")
         for name in ("value_coeff", "entropy_coeff"):
             if not getattr(self, name) >= 0:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be 0 or more")
+
+
+def _fallen(first: float, last: float, share: float) -> float:
+    """Where something is that falls from the first to the last value by the same factor in each step."""
+    return first * (last / first) ** min(max(share, 0.0), 1.0)
 
 
 def _moments(distribution: IndependentNormal) -> tuple[Tensor, Tensor]:
@@ -160,18 +174,22 @@ class PPO:
             for group in self.optimizer.param_groups:
                 group["lr"] = self.config.min_learning_rate
 
-    def calm_down(self, frames: int) -> None:
-        """Lower the bound of the actions' standard deviation to where it should be by now.
+    def calm_down(self, frames: int, total_frames: int) -> None:
+        """Narrow exploration, and make the steps smaller, as the settings say for this moment.
 
         Exploring finds the step up, and hides whether the robot can stand there.
 
         Args:
             frames: Trained so far.
+            total_frames: To train in all.
         """
-        if self.config.final_std is not None:
+        c = self.config
+        if c.final_std is not None:
             first = self.networks.config.max_std
-            share = min(frames / self.config.std_frames, 1.0)
-            self.networks.limit_std(first * (self.config.final_std / first) ** share)
+            self.networks.limit_std(_fallen(first, c.final_std, frames / c.std_frames))
+        if c.final_kl is not None and c.target_kl is not None and self._schedule is not None:
+            share = 1 - (total_frames - frames) / (c.settle * total_frames)
+            self._schedule.target_kl = _fallen(c.target_kl, c.final_kl, share)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Learn from a batch.
@@ -202,7 +220,7 @@ class PPO:
         sums: dict[str, Tensor] = {}
         updates = 0
         for _ in range(self.config.epochs):
-            order = torch.randperm(flat.shape[0], generator=self._generator)
+            order = torch.randperm(flat.shape[0], generator=self._generator, device=flat.device)
             for rows in order.chunk(self.config.minibatches):
                 part = flat[rows]
                 losses = self._step(part)

@@ -145,6 +145,27 @@ def test_the_stages_own_starts_come_once_every_bin_is_open() -> None:
     assert curriculum().config.own == 0.0
 
 
+def test_far_bins_are_left_to_the_stages_own_starts_once_they_come() -> None:
+    auto = curriculum(own=0.5, own_beyond=0.3)
+    near = torch.tensor(auto.config.distances) <= 0.3
+    auto.opened[:] = True
+    auto.opened[-1] = False
+    assert auto.weights().view(auto.shape)[~near].sum() > 0
+    auto.opened[-1] = True
+    rings = auto.weights().view(len(near), -1).sum(1)
+    assert (rings[near] > 0).all() and (rings[~near] == 0).all()
+    assert float(rings.sum()) == pytest.approx(1.0)
+    # Without starts of the stage's own nothing would be left out there.
+    alone = curriculum(own_beyond=0.3)
+    alone.opened[:] = True
+    assert (alone.weights() > 0).all()
+
+
+def test_bins_cannot_all_be_left_to_the_stages_own_starts() -> None:
+    with pytest.raises(ConfigError, match=r"curriculum\.own_beyond=0\.01 must be null, or at least distances\[0\]"):
+        curriculum(own_beyond=0.01).config.validate()
+
+
 def test_places_lie_in_their_bins() -> None:
     auto = curriculum()
     auto.opened[:] = True

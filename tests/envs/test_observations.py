@@ -224,7 +224,7 @@ def test_a_robot_that_sways_across_the_board_sees_it_the_same_way_round(make_sta
 
 @pytest.mark.parametrize("points", [4, 16, 23, 400])
 def test_outline_points_at_equal_arc_length(points: int, context: TaskContext) -> None:
-    outline = outline_points(context, points)
+    outline = outline_points(context.deck_half, points)
     assert outline.shape == (points, 3)
     x, y, z = outline.double().T
     assert bool((z == 0).all())

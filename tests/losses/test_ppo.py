@@ -11,6 +11,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from skatemount.errors import ConfigError
 from skatemount.losses.ppo import PPO, AlgorithmConfig
 from skatemount.models import ActorCritic, NetworkConfig
 
@@ -153,18 +154,41 @@ def test_exploration_calms_down() -> None:
 
     config, first = ppo.networks.config, deviation()
     share = (first - config.min_std) / (config.max_std - config.min_std)
-    ppo.calm_down(0)
+    ppo.calm_down(0, 10**9)
     assert deviation() == pytest.approx(first)
     for frames, bound in ((500, math.sqrt(config.max_std * 0.1)), (2000, 0.1)):
-        ppo.calm_down(frames)
+        ppo.calm_down(frames, 10**9)
         assert deviation() == pytest.approx(config.min_std + share * (bound - config.min_std), rel=1e-5)
     # A policy that is handed over keeps its calm.
     other = make(copy.deepcopy(ppo.networks), final_std=0.1, std_frames=1000)
-    other.calm_down(0)
+    other.calm_down(0, 10**9)
     assert deviation() == pytest.approx(config.min_std + share * (0.1 - config.min_std), rel=1e-5)
     still = make()
-    still.calm_down(10**9)
+    still.calm_down(10**9, 10**9)
     assert still.networks.state_dict().keys() == ppo.networks.state_dict().keys()
+
+
+def test_steps_become_small_at_the_end() -> None:
+    # The KL of an update is far between the targets of before and after: the rate is raised early, lowered late.
+    settings = dict(learning_rate=1e-3, target_kl=1e3, final_kl=1e-9, settle=0.5)
+    for frames, raised in ((0, True), (500, True), (1000, False), (2000, False)):
+        ppo = make(**settings)
+        ppo.calm_down(frames, 1000)
+        ppo.update(collect(ppo.networks))
+        assert (ppo.learning_rate > 1e-3) == raised and (ppo.learning_rate < 1e-3) != raised
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (dict(final_kl=0.0), r"algorithm\.final_kl=0\.0 must be above 0"),
+        (dict(final_kl=0.01, target_kl=None), r"algorithm\.final_kl=0\.01 needs algorithm\.target_kl"),
+        (dict(settle=1.5), r"algorithm\.settle=1\.5 must be a share of the frames, at most 1"),
+    ],
+)
+def test_an_end_that_cannot_be_settled_is_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        AlgorithmConfig(**settings).validate()
 
 
 def test_learning_rate_stays_without_a_target() -> None:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs.mirror import mirror_map
+from skatemount.envs.random import uniform
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import Registry, TaskContext
 from skatemount.errors import ConfigError
@@ -166,8 +167,7 @@ class ObservationTable:
         """What is seen now: noise, then clip, then scale."""
         values = torch.cat([f(sim, episode, self._context) for f in self._functions], -1)
         if generator is not None and self._noisy:
-            noise = torch.rand(values.shape, generator=generator)
-            values = torch.addcmul(values, noise.mul_(2).sub_(1), self._noise)
+            values = torch.addcmul(values, uniform(values.shape, generator, (-1.0, 1.0)), self._noise)
         if self._clipped:
             values = torch.minimum(torch.maximum(values, -self._clip), self._clip)
         return values * self._scale

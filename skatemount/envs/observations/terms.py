@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import torch
 from torch import Tensor
 
@@ -86,17 +88,19 @@ def board_yaw(sim: SimState, episode: EpisodeState, context: TaskContext) -> Ten
     return torch.atan2(x_axis[:, 1], x_axis[:, 0]).remainder(2 * torch.pi).unsqueeze(-1)
 
 
-def outline_points(context: TaskContext, points: int) -> Tensor:
+@functools.lru_cache(64)
+def outline_points(deck_half: tuple[float, float], points: int, device: torch.device | None = None) -> Tensor:
     """Points at equal arc length around the deck's top edge, from the middle of the front, leftwards.
 
     Args:
-        context: Constants.
+        deck_half: Half length and half width of the deck, m.
         points: How many.
+        device: Where they are wanted.
 
     Returns:
-        ``[points, 3]`` in the board frame, m.
+        ``[points, 3]`` in the board frame, m; shared, not to be changed.
     """
-    half_x, half_y = context.deck_half
+    half_x, half_y = deck_half
     corners = [(half_x, 0.0), (half_x, half_y), (-half_x, half_y), (-half_x, -half_y), (half_x, -half_y)]
     path = torch.tensor([*corners, corners[0]])
     length = torch.linalg.vector_norm(path.diff(dim=0), dim=1)
@@ -105,7 +109,7 @@ def outline_points(context: TaskContext, points: int) -> Tensor:
     leg = torch.searchsorted(reached, s, right=True).clamp(1, len(length)) - 1
     part = ((s - reached[leg]) / length[leg]).unsqueeze(1)
     flat = path[leg] + part * (path[leg + 1] - path[leg])
-    return torch.cat((flat, torch.zeros(points, 1)), 1)
+    return torch.cat((flat, torch.zeros(points, 1)), 1).to(device)
 
 
 def _in_base_frame(sim: SimState, board_points: Tensor) -> Tensor:
@@ -118,7 +122,7 @@ def outline(sim: SimState, episode: EpisodeState, context: TaskContext, points: 
 
     They begin in the middle of the end that the trunk faces.
     """
-    turned = outline_points(context, points) * episode.facing.unsqueeze(-1)
+    turned = outline_points(context.deck_half, points, episode.facing.device) * episode.facing.unsqueeze(-1)
     return _in_base_frame(sim, turned)
 
 
@@ -129,13 +133,18 @@ def outline_paper(sim: SimState, episode: EpisodeState, context: TaskContext) ->
     A walk around the deck in steps of 0.083 m, 12 mm above its top, that overshoots the corners as the paper's code
     does (its points on the short edges end 82 mm outside).
     """
-    half_x, half_y = context.deck_half
+    return _in_base_frame(sim, _paper_points(context.deck_half, sim.base_pos.device))
+
+
+@functools.lru_cache(64)
+def _paper_points(deck_half: tuple[float, float], device: torch.device) -> Tensor:
+    half_x, half_y = deck_half
     step = 0.083
     long_edge = [-half_x + step * i for i in range(8)]
     short_edge = [-half_y + step * (i + 1) for i in range(4)]
     points = [(x, -half_y) for x in long_edge] + [(half_x, y) for y in short_edge]
     points += [(-x, half_y) for x in long_edge] + [(-half_x, -y) for y in short_edge]
-    return _in_base_frame(sim, torch.tensor([(x, y, 0.012) for x, y in points]))
+    return torch.tensor([(x, y, 0.012) for x, y in points], device=device)
 
 
 @observation(12, "feet")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import mujoco
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -21,22 +22,29 @@ class PhysicsConfig(SolverConfig):
     """Which engine steps how many worlds.
 
     Attributes:
-        engine: ``cpu`` (`mujoco.batch` on threads).
+        engine: ``cpu`` (`mujoco.batch` on threads) or ``warp`` (mujoco_warp, for a GPU).
         num_worlds: Worlds stepped together.
-        threads: Physics threads; 0 takes every core.
+        threads: Physics threads of ``cpu``; 0 takes every core.
+        device: Of ``warp``: ``auto`` (a GPU if there is one, else the CPU), ``cuda``, ``cuda:1`` or ``cpu``.
+        max_contacts: Contacts of a world that ``warp`` has memory for, on average over the worlds.
+        max_constraints: Constraint rows of a world that ``warp`` has memory for.
     """
 
     engine: str = "cpu"
     num_worlds: int = 1024
     threads: int = 0
+    device: str = "auto"
+    max_contacts: int = 48
+    max_constraints: int = 160
 
     def validate(self, where: str = "physics") -> None:
         """Raise `ConfigError` for values that cannot be simulated."""
         super().validate(where)
         if self.engine not in ENGINES:
             raise ConfigError(f"{where}.engine={self.engine} must be one of {', '.join(sorted(ENGINES))}")
-        if self.num_worlds < 1:
-            raise ConfigError(f"{where}.num_worlds={self.num_worlds} must be at least 1")
+        for name in ("num_worlds", "max_contacts", "max_constraints"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
         if self.threads < 0:
             raise ConfigError(f"{where}.threads={self.threads} must be 0 (every core) or more")
 
@@ -49,6 +57,8 @@ class Physics(Protocol):
     """
 
     num_worlds: int
+    device: torch.device
+    """Where states are, and tensors that it is given are expected."""
     model: mujoco.MjModel
     """The scene as compiled; never randomised."""
     index: SceneIndex
@@ -177,13 +187,44 @@ class WorldStart:
         return WorldStart(**{name: choose(value, getattr(second, name)) for name, value in vars(first).items()})
 
 
-def _cpu(scene: Scene, num_worlds: int, threads: int) -> Physics:
+def show(
+    model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, mocap_pos: np.ndarray
+) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """A model in a pose, to be rendered.
+
+    Args:
+        model: With all that is to be seen.
+        qpos: ``[nq]``.
+        qvel: ``[nv]``.
+        mocap_pos: ``[nmocap, 3]`` m.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], data.mocap_pos[:] = qpos, qvel, mocap_pos
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def _cpu(scene: Scene, config: PhysicsConfig) -> Physics:
     from skatemount.envs.physics.cpu import CpuPhysics
 
-    return CpuPhysics(scene, num_worlds, threads)
+    return CpuPhysics(scene, config.num_worlds, config.threads)
 
 
-ENGINES: dict[str, Callable[[Scene, int, int], Physics]] = {"cpu": _cpu}
+def _warp(scene: Scene, config: PhysicsConfig) -> Physics:
+    try:
+        import warp
+
+        # Before anything of it is used: it prints what it finds.
+        warp.config.quiet = True
+        from skatemount.envs.physics.warp import WarpPhysics
+    except ImportError as error:
+        raise ConfigError(
+            f"physics.engine=warp needs mujoco-warp and warp-lang ({error}): pip install 'skatemount[warp]'"
+        ) from error
+    return WarpPhysics(scene, config.num_worlds, config.device, config.max_contacts, config.max_constraints)
+
+
+ENGINES: dict[str, Callable[[Scene, PhysicsConfig], Physics]] = {"cpu": _cpu, "warp": _warp}
 
 
 def make_physics(
@@ -201,4 +242,4 @@ def make_physics(
     config.num_worlds = config.num_worlds if num_worlds is None else num_worlds
     config.threads = config.threads if threads is None else threads
     config.validate()
-    return ENGINES[config.engine](scene, config.num_worlds, config.threads)
+    return ENGINES[config.engine](scene, config)

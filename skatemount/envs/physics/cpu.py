@@ -11,7 +11,7 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
-from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.physics.base import WorldStart, show
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState, StateReader
 
@@ -48,7 +48,7 @@ class CpuPhysics:
     """
 
     def __init__(self, scene: Scene, num_worlds: int, threads: int = 0):
-        self.num_worlds = num_worlds
+        self.num_worlds, self.device = num_worlds, torch.device("cpu")
         self.model = scene.compile(visuals=False)
         self._scene = scene
         self.index = SceneIndex.of(scene, self.model)
@@ -152,11 +152,7 @@ class CpuPhysics:
         Args:
             i: The world.
         """
-        data = mujoco.MjData(self._visible)
-        data.qpos[:], data.qvel[:] = self._qpos[i], self._qvel[i]
-        data.mocap_pos[:] = self._mocap[i]
-        mujoco.mj_forward(self._visible, data)
-        return self._visible, data
+        return show(self._visible, self._qpos[i], self._qvel[i], self._mocap[i])
 
     def close(self) -> None:
         """Stop the threads and free the worlds."""

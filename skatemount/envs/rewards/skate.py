@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs import success
-from skatemount.envs.geometry import rotate_inverse
+from skatemount.envs.geometry import beyond_rectangle, rotate_inverse
 from skatemount.envs.rewards.table import penalty, reward
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import TaskContext
@@ -69,9 +69,8 @@ def feet_proximity(
         scale: m.
         margin: How far inside the edge a foot should stand, m.
     """
-    half = torch.tensor(context.deck_half) - margin
-    position = sim.foot_pos_board
-    beyond = position[..., :2].abs() - half
+    position, (half_x, half_y) = sim.foot_pos_board, context.deck_half
+    beyond = beyond_rectangle(position, (half_x - margin, half_y - margin))
     outside = torch.linalg.vector_norm(beyond.clamp(min=0), dim=-1)
     height = position[..., 2] - context.foot_radius
     below = (-height).clamp(min=0)
@@ -165,7 +164,7 @@ def feet_near_edge(
         half_width: Of the rectangle, m.
         half_length: Of the rectangle, m.
     """
-    beyond = (sim.foot_pos_board[..., :2].abs() - torch.tensor((half_length, half_width))).clamp(min=0)
+    beyond = beyond_rectangle(sim.foot_pos_board, (half_length, half_width)).clamp(min=0)
     return (beyond.sum(-1) * episode.on_deck).sum(-1)
 
 

@@ -113,7 +113,7 @@ class RewardTable:
         """
         n = sim.base_pos.shape[0]
         if not self._functions:
-            return torch.zeros(0, n)
+            return sim.base_pos.new_zeros(0, n)
         factor = upright(sim)
         values = []
         for function, gated in zip(self._functions, self._gated):
