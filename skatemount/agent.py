@@ -77,6 +77,10 @@ class Agent:
         """What acts."""
         return self.networks
 
+    def to(self, device: torch.device) -> None:
+        """Move what acts to a device."""
+        self.networks.to(device)
+
     @property
     def spec(self) -> str:
         """What loads the same policy again; "latest" may be another one tomorrow."""

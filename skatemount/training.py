@@ -21,6 +21,7 @@ from skatemount.benchmark.results import Evaluation
 from skatemount.config import Config
 from skatemount.curriculum.base import make_curriculum
 from skatemount.curriculum.harvest import Harvest
+from skatemount.devices import rng_state, seconds, set_rng_state
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.mirror import mirror_map
 from skatemount.envs.physics.cpu import available_cores
@@ -171,7 +172,7 @@ class Trainer:
         if self.curriculum is not None:
             self.curriculum.load_state_dict(state["curriculum"])
             self.env.place_starts(self.curriculum.place)
-        torch.set_rng_state(state["torch_rng"])
+        set_rng_state(state["torch_rng"], self.env.physics.device)
         self._order.set_state(state["order_rng"])
         self.env.generator.set_state(state["env_rng"])
         self.started_from = str(folder)
@@ -240,16 +241,17 @@ class Trainer:
             track_traj_ids=False,
             auto_register_policy_transforms=False,
         )
-        already, started = self.elapsed, time.monotonic()
+        device = self.env.physics.device
+        already, started = self.elapsed, seconds(device)
         try:
             mark = started
             for batch in collector:
-                collected = time.monotonic()
+                collected = seconds(device)
                 metrics = self._learn(batch)
                 self.frames += batch_frames
                 self.iteration += 1
                 self.ppo.calm_down(self.frames, self.config.total_frames)
-                now = time.monotonic()
+                now = seconds(device)
                 self.elapsed = already + now - started
                 if lost := self.env.physics.overflowed():
                     raise ConfigError(lost)
@@ -265,7 +267,7 @@ class Trainer:
                     "Perf/elapsed_s": self.elapsed,
                 }
                 yield metrics
-                mark = time.monotonic()
+                mark = seconds(device)
         finally:
             collector.shutdown(close_env=False)
 
@@ -311,7 +313,7 @@ class Trainer:
             "iteration": self.iteration,
             "elapsed": self.elapsed,
             "curriculum": None if self.curriculum is None else self.curriculum.state_dict(),
-            "torch_rng": torch.get_rng_state(),
+            "torch_rng": rng_state(self.env.physics.device),
             "order_rng": self._order.get_state(),
             "env_rng": self.env.generator.get_state(),
         }

@@ -42,7 +42,7 @@ class Relay:
         Args:
             env: The environment.
         """
-        mounting = torch.zeros(env.num_worlds, dtype=torch.bool)
+        mounting = torch.zeros(env.num_worlds, dtype=torch.bool, device=env.device)
 
         def act(seen: TensorDictBase) -> TensorDictBase:
             nonlocal mounting
@@ -75,6 +75,11 @@ class PipelineAgent(Agent):
     def name(self) -> str:
         """What to call it."""
         return f"{self.walker.name}+{super().name}"
+
+    def to(self, device: torch.device) -> None:
+        """Move what acts to a device."""
+        super().to(device)
+        self.walker.to(device)
 
     @property
     def policy(self) -> Relay:

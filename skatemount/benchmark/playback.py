@@ -80,9 +80,13 @@ def play(trial: Trial, number: int) -> Episode:
                 mocap_pos=data.mocap_pos.copy(),
             )
         )
-        subjects.append(sim.foot_pos[world].numpy())
-        subjects.append(sim.base_pos[world].numpy() + _ROBOT_REACH @ sim.base_rot[world].numpy().T)
-        subjects.append(sim.board_pos[world].numpy() + corners @ sim.board_rot[world].numpy().T)
+        feet_at, trunk_at, trunk_turned, board_at, board_turned = (
+            getattr(sim, name)[world].cpu().numpy()
+            for name in ("foot_pos", "base_pos", "base_rot", "board_pos", "board_rot")
+        )
+        subjects.append(feet_at)
+        subjects.append(trunk_at + _ROBOT_REACH @ trunk_turned.T)
+        subjects.append(board_at + corners @ board_turned.T)
         ended = evaluator.has_ended(world)
 
     try:

@@ -121,7 +121,7 @@ class Trial:
         return replace(records, number=number, variant=torch.full_like(number, index))
 
     def evaluator(self, variant: str) -> Evaluator:
-        """What plays the episodes of a variant; to be closed.
+        """What plays the episodes of a variant; to be closed. The policy is moved to where they are played.
 
         Raises:
             ConfigError: The policy does not fit the task.
@@ -135,6 +135,7 @@ class Trial:
         except ConfigError:
             evaluator.close()
             raise
+        self.agent.to(evaluator.env.device)
         return evaluator
 
     def evaluate(self, episodes: int, progress: Callable[[float, str], None] | None = None) -> Evaluation:

@@ -50,7 +50,7 @@ def draw_heat_map(
 
     def grid(values: Tensor) -> np.ndarray:
         """``[distance, heading, height, free, others]``."""
-        return values.permute(*shown, *others).reshape(*(values.shape[i] for i in shown), -1).numpy()
+        return values.cpu().permute(*shown, *others).reshape(*(values.shape[i] for i in shown), -1).numpy()
 
     is_open = grid(opened)
     count = is_open.sum(-1)

@@ -15,8 +15,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from skatemount.cli import ignore_torchrls_warnings
 from skatemount.config import Config
+from skatemount.devices import choose_device
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.provenance import package_versions
 from skatemount.speed.stopwatch import COLLECTING, LEARNING, watch
@@ -147,14 +150,16 @@ def measure_point(config: Config, profile: bool = False) -> Point:
         config: Of the training, and ``bench``.
         profile: Whether to look at the parts, too.
     """
-    before, bench = peak_memory(), config.bench
+    bench, physics = config.bench, config.physics
+    device = choose_device("cpu" if physics.engine == "cpu" else physics.device)
     with tempfile.TemporaryDirectory() as folder:
         config.logger.root = folder
+        before = memory_taken(device)
         workload = Workload(Trainer(config))
         try:
             # What is done for the first time takes longer.
             workload.training(0.0)
-            after = peak_memory()
+            after = memory_taken(device)
             rates = dict.fromkeys(FIGURES, 0.0)
             for _ in range(bench.rounds):
                 timed = {"raw": workload.raw(bench.seconds), "env": workload.env(bench.seconds)}
@@ -164,7 +169,7 @@ def measure_point(config: Config, profile: bool = False) -> Point:
         finally:
             workload.close()
     memory = None if before is None or after is None else after - before
-    return Point(config.physics.num_worlds, config.physics.threads, rates, memory, shares)
+    return Point(physics.num_worlds, physics.threads, rates, memory, shares)
 
 
 def profiled(workload: Workload, seconds: float) -> dict[str, float]:
@@ -200,16 +205,22 @@ def time_to_first_iteration(overrides: list[str]) -> float | None:
 
 
 def machine() -> str:
-    """The processor's name and how many of its cores there are to use."""
+    """The processor's name and how many of its cores there are to use, and the GPU's if there is one."""
     name = platform.processor() or platform.machine()
     if Path("/proc/cpuinfo").is_file():
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), name)
-    return f"{name}, {available_cores()} cores"
+    parts = [f"{name}, {available_cores()} cores"]
+    if torch.cuda.is_available():
+        parts.append(torch.cuda.get_device_name())
+    return ", ".join(parts)
 
 
-def peak_memory() -> int | None:
-    """The most memory that this process has had, bytes, if the system tells."""
+def memory_taken(device: torch.device) -> int | None:
+    """The most memory that this process has had, or what is taken of a GPU's, bytes, if the system tells."""
+    if device.type == "cuda":
+        free, total = torch.cuda.mem_get_info(device)
+        return total - free
     try:
         import resource
     except ImportError:

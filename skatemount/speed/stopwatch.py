@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import torch
+
+from skatemount.devices import seconds
 from skatemount.training import Trainer
 
 COLLECTING = ("physics", "state", "observation", "reward", "episode", "reset", "policy")
@@ -16,12 +18,16 @@ LEARNING = ("values and GAE", "update")
 class Stopwatch:
     """Adds up the time spent in what it times; a part does not count what is timed inside it.
 
+    Args:
+        device: Where what is timed works.
+
     Attributes:
         spent: Seconds by part.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, device: torch.device | None = None) -> None:
         self.spent: dict[str, float] = {}
+        self._device = device or torch.device("cpu")
         self._inside = 0.0
         self._closed = False
 
@@ -45,11 +51,11 @@ class Stopwatch:
         if self._closed:
             return call(*args, **kwargs)
         outer, self._inside, self._closed = self._inside, 0.0, whole
-        start = time.perf_counter()
+        start = seconds(self._device)
         try:
             return call(*args, **kwargs)
         finally:
-            took = time.perf_counter() - start
+            took = seconds(self._device) - start
             self.spent[part] = self.spent.get(part, 0.0) + took - self._inside
             self._inside, self._closed = outer + took, False
 
@@ -77,7 +83,8 @@ def watch(trainer: Trainer) -> Iterator[Stopwatch]:
     Yields:
         The stopwatch; its parts are `COLLECTING` and `LEARNING`.
     """
-    stopwatch, env, ppo = Stopwatch(), trainer.env, trainer.ppo
+    env, ppo = trainer.env, trainer.ppo
+    stopwatch = Stopwatch(env.physics.device)
     undo = [
         stopwatch.time(env.physics, "step", "physics"),
         stopwatch.time(env.physics, "state", "state"),

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 
+from skatemount.devices import seconds as clock
 from skatemount.training import Trainer
 
 SETTLE = 50
@@ -80,9 +80,8 @@ class Workload:
         steps = self.trainer.frames - before
         return {name: (steps, took) for name, took in spent.items()}
 
-    @staticmethod
-    def _now() -> float:
-        return time.perf_counter()
+    def _now(self) -> float:
+        return clock(self._env.physics.device)
 
     def close(self) -> None:
         """Stop everything."""

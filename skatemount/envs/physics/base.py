@@ -214,8 +214,8 @@ def _warp(scene: Scene, config: PhysicsConfig) -> Physics:
     try:
         import warp
 
-        # Before anything of it is used: it prints what it finds.
-        warp.config.quiet = True
+        # Before anything of it is used: it tells of every device and module it loads.
+        warp.config.log_level = warp.LOG_WARNING
         from skatemount.envs.physics.warp import WarpPhysics
     except ImportError as error:
         raise ConfigError(

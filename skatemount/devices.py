@@ -1,0 +1,50 @@
+"""What a training does differently on a GPU."""
+
+from __future__ import annotations
+
+import time
+
+import torch
+from torch import Tensor
+
+from skatemount.errors import ConfigError
+
+
+def choose_device(name: str) -> torch.device:
+    """The device that a setting names.
+
+    Args:
+        name: ``auto`` (a GPU if there is one, else the CPU), or torch's name of it.
+
+    Raises:
+        ConfigError: There is no such device.
+    """
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        device = torch.device(name)
+        if device.type not in ("cpu", "cuda"):
+            raise RuntimeError("it is neither a CPU nor a CUDA GPU")
+        return torch.zeros(0, device=device).device
+    except (RuntimeError, AssertionError) as error:
+        raise ConfigError(f"physics.device={name} cannot be used: {str(error).splitlines()[0]}") from error
+
+
+def seconds(device: torch.device) -> float:
+    """A steady clock, read when the device has done all that it was given, s."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return time.perf_counter()
+
+
+def rng_state(device: torch.device) -> Tensor:
+    """State of torch's own generator on a device, from which exploration draws."""
+    return torch.cuda.get_rng_state(device) if device.type == "cuda" else torch.get_rng_state()
+
+
+def set_rng_state(state: Tensor, device: torch.device) -> None:
+    """Restore what `rng_state` returned."""
+    if device.type == "cuda":
+        torch.cuda.set_rng_state(state, device)
+    else:
+        torch.set_rng_state(state)

@@ -1,0 +1,255 @@
+"""`WarpPhysics`: mujoco_warp, every world of the batch on one GPU, or on Warp's CPU device to try it."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import mujoco_warp as mjw
+import torch
+import warp as wp
+from torch import Tensor
+
+from skatemount.devices import choose_device
+from skatemount.envs.physics.base import WorldStart, show
+from skatemount.envs.scene import Scene, SceneIndex
+from skatemount.envs.state import SimState, StateReader
+
+RANDOMISED = ("geom_friction", "jnt_stiffness", "body_mass", "body_inertia", "body_ipos", "actuator_gainprm")
+"""Model fields with a value for each world."""
+DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
+"""What follows from masses and inertias, and differs from world to world with them."""
+STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl", "xfrc_applied", "eq_active", "mocap_pos")
+"""What integration goes on from."""
+
+_TOO_SMALL = {
+    mjw.OverflowType.NEFC: "max_constraints",
+    mjw.OverflowType.NJMAX_NNZ: "max_constraints",
+    mjw.OverflowType.BROADPHASE: "max_contacts",
+    mjw.OverflowType.NARROWPHASE: "max_contacts",
+    mjw.OverflowType.CCD: "max_contacts",
+    mjw.OverflowType.CONTACT_MATCH: "max_contacts",
+}
+_FORWARD = 0
+_LARGEST = 1e10
+"""Beyond it MuJoCo gives a state up (mjMAXVAL)."""
+
+
+class WarpPhysics:
+    """Worlds stepped by mujoco_warp, in single precision.
+
+    The tensors of its state share Warp's memory. On a GPU the substeps are one CUDA graph, and nothing is copied to the
+    host.
+
+    Args:
+        scene: The scene.
+        num_worlds: Number of worlds.
+        device: Where they are: ``auto`` (a GPU if there is one), ``cuda``, ``cuda:1``, ``cpu``.
+        max_contacts: Contacts of a world that there is memory for, on average over the worlds.
+        max_constraints: Constraint rows of a world that there is memory for.
+
+    Raises:
+        ConfigError: There is no such device.
+    """
+
+    def __init__(
+        self, scene: Scene, num_worlds: int, device: str = "auto", max_contacts: int = 48, max_constraints: int = 160
+    ):
+        self.num_worlds, self.device = num_worlds, choose_device(device)
+        self.model = scene.compile(visuals=False)
+        self.index = SceneIndex.of(scene, self.model)
+        self.max_contacts, self.max_constraints = max_contacts, max_constraints
+        self._scene = scene
+        wp.init()
+        _say_if_it_has_to_compile()
+        self._place = wp.device_from_torch(self.device)
+        self.description = f"mujoco_warp on {self._place.name}"
+        with wp.ScopedDevice(self._place):
+            self._warp_model = mjw.put_model(self.model, dict.fromkeys((*RANDOMISED, *DERIVED), num_worlds))
+            # An overflow is found by `overflowed`; Warp would print a line a world and step.
+            self._warp_model.opt.warn_overflow = 0
+            self._data = mjw.make_data(self.model, num_worlds, nconmax=max_contacts, njmax=max_constraints)
+        data = self._data
+        self._state = {name: wp.to_torch(getattr(data, name)) for name in STATE}
+        self._sensordata, self._qacc = wp.to_torch(data.sensordata), wp.to_torch(data.qacc)
+        self._overflow = wp.to_torch(data.overflow)
+        with self.device:
+            self._failed = torch.zeros(num_worlds, dtype=torch.bool)
+            self._qpos0 = torch.as_tensor(self.model.qpos0, dtype=torch.float32)
+            self._rolling = torch.as_tensor(self.index.rolling, dtype=torch.float32)
+            self._joint_qpos, self._joint_dof, self._actuators = (
+                torch.as_tensor(ids) for ids in (self.index.joint_qpos, self.index.joint_dof, self.index.actuators)
+            )
+        self._reader = StateReader(self.index, self.device)
+        self._graphs: dict[int, wp.Graph] = {}
+        self._launch(_FORWARD)
+
+    def step(self, targets: Tensor, substeps: int) -> None:
+        """Advance every world; see `Physics.step`."""
+        self._state["ctrl"][:, self._actuators] = targets
+        self._launch(substeps)
+        self._give_up_what_failed()
+
+    def _give_up_what_failed(self) -> None:
+        """Put worlds that are not finite any more back to the model's default state, as MuJoCo's C engine does."""
+        qpos, qvel = self._state["qpos"], self._state["qvel"]
+        # A comparison with nan is false.
+        failed = ~((qpos.abs() < _LARGEST).all(-1) & (qvel.abs() < _LARGEST).all(-1))
+        self._failed |= failed
+        qpos.copy_(_choose(failed, self._qpos0, qpos))
+        for name in ("qvel", "qacc_warmstart", "ctrl"):
+            self._state[name].masked_fill_(failed.unsqueeze(1), 0.0)
+        for each in (self._sensordata, self._qacc):
+            torch.nan_to_num_(each, 0.0, 0.0, 0.0)
+
+    def reset(self, mask: Tensor, start: WorldStart) -> None:
+        """Put the chosen worlds into start states; see `Physics.reset`."""
+        index, n = self.index, self.num_worlds
+        qpos = self._qpos0.repeat(n, 1)
+        qpos[:, index.base_qpos] = torch.cat((start.base_pos, start.base_quat), -1)
+        qpos[:, self._joint_qpos] = start.joint_pos
+        qvel = start.board_speed.unsqueeze(1) * self._rolling
+        qvel[:, index.base_dof] = torch.cat((start.base_lin_vel, start.base_ang_vel), -1)
+        qvel[:, self._joint_dof] = start.joint_vel
+        fresh = {name: torch.zeros_like(value) for name, value in self._state.items()}
+        fresh |= {"qpos": qpos, "qvel": qvel}
+        fresh["ctrl"][:, self._actuators] = start.joint_pos
+        fresh["xfrc_applied"][:, index.trunk_body] = torch.cat((start.force, start.torque), -1)
+        fresh["eq_active"][:, index.weld] = start.board_fixed
+        fresh["mocap_pos"][:] = self._state["mocap_pos"]
+        fresh["mocap_pos"][:, index.floor_mocap, 2] = start.ground_height
+        for name, value in self._state.items():
+            value.copy_(_choose(mask, fresh[name], value))
+        self._failed &= ~mask
+        # What the other worlds' last step left is kept: a state is that of a step, not of a reset elsewhere.
+        left = [(each, each.clone()) for each in (self._sensordata, self._qacc, self._state["qacc_warmstart"])]
+        self._launch(_FORWARD)
+        for each, before in left:
+            each.copy_(_choose(mask, each, before))
+
+    def push(self, mask: Tensor, velocity: Tensor) -> None:
+        """Add to the trunk's velocity; see `Physics.push`."""
+        dof = self.index.base_dof.start
+        self._state["qvel"][:, dof : dof + 3] += torch.where(mask.unsqueeze(1), velocity, 0.0)
+
+    def state(self, rows: Tensor | None = None) -> SimState:
+        """The state of every world, or of some, in memory of its own; see `Physics.state`."""
+
+        def copy(values: Tensor) -> Tensor:
+            return values.clone() if rows is None else values[rows]
+
+        state, index = self._state, self.index
+        return self._reader.read(
+            copy(self._sensordata),
+            copy(self._qacc)[:, self._joint_dof],
+            copy(state["mocap_pos"][:, index.floor_mocap, 2]),
+            copy(state["eq_active"][:, index.weld]),
+        )
+
+    def field(self, name: str) -> Tensor:
+        """A live ``[N, ...]`` float32 view of a model field with a value for each world.
+
+        Raises:
+            KeyError: The field is the same in every world.
+        """
+        if name not in RANDOMISED:
+            raise KeyError(f"{name} is not among the fields that differ from world to world: {', '.join(RANDOMISED)}")
+        return wp.to_torch(getattr(self._warp_model, name))
+
+    def refresh_constants(self) -> None:
+        """Recompute what the model derives from masses and inertias."""
+        before = self._state["qpos"].clone()
+        self._run(lambda: mjw.set_const(self._warp_model, self._data))
+        self._state["qpos"].copy_(before)
+
+    def diverged(self) -> Tensor:
+        """``[N]`` bool, worlds that had to be given up since their last reset."""
+        return self._failed.clone()
+
+    def overflowed(self) -> str | None:
+        """What to raise if contacts or constraints were dropped for want of memory, since it was last asked."""
+        seen = self._overflow.to("cpu", copy=True)
+        self._overflow.zero_()
+        for bit, setting in _TOO_SMALL.items():
+            if lost := int(((seen & int(bit)) != 0).sum()):
+                return (
+                    f"mujoco_warp dropped contacts in {lost} of {self.num_worlds} worlds ({bit.name}): raise "
+                    f"physics.{setting}={getattr(self, setting)}"
+                )
+        return None
+
+    def raw_state(self) -> dict[str, Tensor]:
+        """A copy of every world's full integration state; see `set_raw_state`."""
+        return {name: value.clone() for name, value in self._state.items()}
+
+    def set_raw_state(self, state: dict[str, Tensor]) -> None:
+        """Restore what `raw_state` returned and compute everything that depends on it."""
+        for name, value in state.items():
+            self._state[name].copy_(value)
+        self._launch(_FORWARD)
+
+    @functools.cached_property
+    def _visible(self) -> mujoco.MjModel:
+        return self._scene.compile()
+
+    def world(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """One world's pose with everything there is to see; see `Physics.world`."""
+        qpos, qvel, mocap = (self._state[name][i].cpu().numpy() for name in ("qpos", "qvel", "mocap_pos"))
+        return show(self._visible, qpos, qvel, mocap)
+
+    def close(self) -> None:
+        """Free the worlds."""
+        self._graphs.clear()
+        del self._data, self._warp_model
+
+    def _work(self, substeps: int) -> None:
+        """Physics steps, and then positions and velocities of what they led to; without steps, everything anew."""
+        model, data = self._warp_model, self._data
+        if not substeps:
+            mjw.forward(model, data)
+            return
+        for _ in range(substeps):
+            mjw.step(model, data)
+        # Forces stay those of the last step; contacts are found anew by the next.
+        mjw.fwd_kinematics(model, data)
+        mjw.sensor_pos(model, data)
+        mjw.fwd_velocity(model, data)
+        mjw.sensor_vel(model, data)
+
+    def _run(self, work: Callable[[], Any]) -> None:
+        """Run Warp's kernels in order with torch's."""
+        if self.device.type == "cpu":
+            with wp.ScopedDevice(self._place):
+                work()
+            return
+        with wp.ScopedStream(self._stream()):
+            work()
+
+    def _stream(self) -> wp.Stream:
+        return wp.stream_from_torch(torch.cuda.current_stream(self.device))
+
+    def _launch(self, substeps: int) -> None:
+        """Do `_work`, on a GPU as a graph that is captured after the first time."""
+        if substeps in self._graphs:
+            wp.capture_launch(self._graphs[substeps], self._stream())
+            return
+        self._run(lambda: self._work(substeps))
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+            with wp.ScopedDevice(self._place), wp.ScopedCapture() as capture:
+                self._work(substeps)
+            self._graphs[substeps] = capture.graph
+
+
+def _say_if_it_has_to_compile() -> None:
+    cache = wp.config.kernel_cache_dir
+    if cache is not None and not any(Path(cache).glob("*mujoco_warp*")):
+        print("mujoco_warp compiles its kernels: a minute or two, once a machine", file=sys.stderr, flush=True)
+
+
+def _choose(mask: Tensor, first: Tensor, second: Tensor) -> Tensor:
+    return torch.where(mask.view(-1, *[1] * (second.dim() - 1)), first, second)

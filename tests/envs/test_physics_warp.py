@@ -1,0 +1,250 @@
+"""`WarpPhysics` next to `CpuPhysics`, on Warp's CPU device: one in single precision, the other in double."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from tiny import TINY
+from torch import Tensor
+
+from skatemount.agent import Agent
+from skatemount.benchmark.trial import Trial, load_suite
+from skatemount.config import compose
+from skatemount.envs import MountEnv, MountTask
+from skatemount.envs.physics import make_physics
+from skatemount.envs.physics.base import Physics, PhysicsConfig, WorldStart
+from skatemount.envs.randomization import Randomizer
+from skatemount.envs.state import SimState
+from skatemount.errors import ConfigError
+from skatemount.speed.measure import measure_point
+from skatemount.training import Trainer
+
+WORLDS, SUBSTEPS = 24, 4
+VARIED = ["start.board_fixed=0.5", "start.step_height=[0.0,0.088]", "start.force=[-3.0,3.0]"]
+VARIED += ["start.board_speed=[0.0,0.5]", "start.yaw=[-3.0,3.0]"]
+TOLERANCES = {
+    **dict.fromkeys(("base_pos", "board_pos", "foot_pos", "foot_pos_board", "ground_height"), 1e-3),  # m
+    **dict.fromkeys(("base_rot", "board_rot", "gravity", "joint_pos", "truck_angle"), 5e-3),  # 1, rad
+    **dict.fromkeys(("base_lin_vel", "board_lin_vel", "foot_vel"), 2e-2),  # m/s
+    **dict.fromkeys(("base_ang_vel", "board_ang_vel", "joint_vel"), 0.1),  # rad/s
+    **dict.fromkeys(("foot_deck_force", "foot_other_force", "joint_torque"), 0.5),  # N, N m
+    "body_force": 0.5,  # N
+    "board_fixed": 0.0,
+}
+"""What 95 of 100 numbers differ by at most. The others are robots that fall: there a rounding error grows."""
+
+
+def engine(name: str, task: MountTask, worlds: int = WORLDS) -> Physics:
+    return make_physics(task.scene, PhysicsConfig(engine=name, num_worlds=worlds, threads=1, device="cpu"))
+
+
+@pytest.fixture
+def task() -> MountTask:
+    return MountTask(stage="mount", overrides=VARIED)
+
+
+@pytest.fixture
+def pair(task: MountTask) -> Iterator[tuple[Physics, Physics]]:
+    both = engine("cpu", task), engine("warp", task)
+    yield both
+    for physics in both:
+        physics.close()
+
+
+@pytest.fixture
+def warp(task: MountTask) -> Iterator[Physics]:
+    physics = engine("warp", task, worlds=4)
+    yield physics
+    physics.close()
+
+
+def starts(task: MountTask, n: int = WORLDS, seed: int = 0) -> WorldStart:
+    return task.make_sampler().draw(n, torch.Generator().manual_seed(seed))
+
+
+def everywhere(n: int = WORLDS) -> Tensor:
+    return torch.ones(n, dtype=torch.bool)
+
+
+def only(*worlds: int, n: int = 4) -> Tensor:
+    mask = torch.zeros(n, dtype=torch.bool)
+    mask[list(worlds)] = True
+    return mask
+
+
+def difference(a: Tensor, b: Tensor, share: float = 0.95) -> float:
+    return float(torch.quantile((a.float() - b.float()).abs().flatten(), share))
+
+
+def same(a: SimState, b: SimState, rows: Tensor) -> bool:
+    return all(torch.equal(value[rows], b.get(name)[rows]) for name, value in a.items())
+
+
+def test_a_hundred_steps_like_those_of_the_cpu_engine(task: MountTask, pair: tuple[Physics, Physics]) -> None:
+    """Fixed and free boards, high and low steps, rolling ones, randomised worlds, partial resets."""
+    for physics in pair:
+        generator = torch.Generator().manual_seed(2)
+        randomizer = Randomizer(task.config.randomization, physics.index, physics.model, generator)
+        randomizer.build_worlds(physics)
+        randomizer.new_episodes(physics, everywhere())
+    generator = torch.Generator().manual_seed(1)
+    nominal, seen, pressed = torch.zeros(WORLDS, 12), [], 0
+    for step in range(108):
+        if step % 9 == 0:
+            mask = everywhere() if step == 0 else torch.rand(WORLDS, generator=generator) < 0.3
+            start = starts(task, seed=step)
+            for physics in pair:
+                physics.reset(mask, start)
+            nominal = torch.where(mask.unsqueeze(1), start.joint_pos, nominal)
+        targets = nominal + 0.05 * torch.randn(WORLDS, 12, generator=generator)
+        for physics in pair:
+            physics.step(targets, SUBSTEPS)
+        a, b = (physics.state() for physics in pair)
+        seen.append((a, b))
+        pressed += int((a.foot_deck_force != 0).any(-1).sum())
+    assert pressed > 100
+    for name, most in TOLERANCES.items():
+        a, b = (torch.stack([states[i].get(name) for states in seen]) for i in (0, 1))
+        assert difference(a, b) <= most, name
+        # At first everything is the same, and it stays so where nothing is touched.
+        assert difference(a[:3], b[:3], 0.99) <= most, name
+    contacts = torch.stack([(a.foot_deck_force != 0).any(-1) == (b.foot_deck_force != 0).any(-1) for a, b in seen])
+    assert float(contacts.float().mean()) > 0.98
+
+
+def test_observations_and_rewards_are_the_cpu_engines() -> None:
+    envs = [
+        MountEnv(MountTask(stage="mount", overrides=[*VARIED, f"physics={name}"]), num_worlds=WORLDS, threads=1, seed=5)
+        for name in ("cpu", "warp")
+    ]
+    data = [env.reset() for env in envs]
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(12):
+        action = 0.2 * torch.randn(WORLDS, 12, generator=generator)
+        data = [env.step(each.set("action", action.clone()))["next"] for env, each in zip(envs, data)]
+        a, b = data
+        assert difference(a["observation"], b["observation"], 0.99) < 0.01
+        assert difference(a["privileged"], b["privileged"], 0.99) < 0.01
+        assert difference(a["reward"], b["reward"]) < 2e-3
+        assert torch.equal(a["done"], b["done"])
+    for env in envs:
+        env.close()
+
+
+def test_a_reset_touches_only_the_chosen_worlds(task: MountTask, warp: Physics) -> None:
+    start = starts(task, 4)
+    warp.reset(everywhere(4), start)
+    for _ in range(5):
+        warp.step(start.joint_pos, SUBSTEPS)
+    raw, state = warp.raw_state(), warp.state()
+    mask, other = only(1, 3), starts(task, 4, seed=9)
+    warp.reset(mask, other)
+    after = warp.state()
+    assert same(after, state, ~mask)
+    assert all(torch.equal(value[~mask], raw[name][~mask]) for name, value in warp.raw_state().items())
+    torch.testing.assert_close(after.base_pos[mask], other.base_pos[mask])
+    assert torch.equal(after.board_fixed[mask], other.board_fixed[mask])
+    # What the world was before is forgotten: it is the same as when all are reset.
+    warp.reset(everywhere(4), other)
+    fresh = warp.state()
+    for name in ("base_pos", "joint_acc", "foot_deck_force", "foot_other_force"):
+        torch.testing.assert_close(after.get(name)[mask], fresh.get(name)[mask], atol=1e-3, rtol=1e-3)
+
+
+def test_a_state_owns_its_memory(task: MountTask, warp: Physics) -> None:
+    start = starts(task, 4)
+    warp.reset(everywhere(4), start)
+    state = warp.state()
+    kept = state.clone()
+    warp.step(start.joint_pos + 0.2, SUBSTEPS)
+    assert same(state, kept, everywhere(4)) and not same(warp.state(), kept, everywhere(4))
+
+
+def test_a_model_field_changes_only_its_world(task: MountTask, warp: Physics) -> None:
+    start = starts(task, 4)
+
+    def run() -> Tensor:
+        warp.reset(everywhere(4), start)
+        for _ in range(5):
+            warp.step(start.joint_pos, SUBSTEPS)
+        return warp.raw_state()["qpos"]
+
+    # In single precision it does not come out quite as the compiler had it.
+    warp.refresh_constants()
+    before = run()
+    mass = warp.field("body_mass")
+    mass[2, warp.index.trunk_body] += 3.0
+    warp.refresh_constants()
+    after = run()
+    assert torch.equal(after[~only(2)], before[~only(2)])
+    assert difference(after[2], before[2], 1.0) > 1e-4
+    with pytest.raises(KeyError, match="geom_size is not among the fields that differ from world to world"):
+        warp.field("geom_size")
+
+
+def test_a_world_that_fails_is_flagged_until_its_reset(task: MountTask, warp: Physics) -> None:
+    start = starts(task, 4)
+    warp.reset(everywhere(4), start)
+    warp.push(only(1), torch.full((4, 3), torch.nan))
+    for _ in range(2):
+        warp.step(start.joint_pos, SUBSTEPS)
+        assert warp.diverged().tolist() == only(1).tolist()
+        assert all(value.isfinite().all() for value in warp.state().values() if value.is_floating_point())
+    warp.reset(only(1), start)
+    assert not warp.diverged().any()
+
+
+@pytest.mark.parametrize(("setting", "room"), [("max_contacts", 2), ("max_constraints", 20)])
+def test_lost_contacts_are_an_error_that_names_the_setting(task: MountTask, setting: str, room: int) -> None:
+    config = PhysicsConfig(engine="warp", num_worlds=4, device="cpu")
+    setattr(config, setting, room)
+    physics = make_physics(task.scene, config)
+    start = starts(task, 4)
+    physics.reset(everywhere(4), start)
+    physics.step(start.joint_pos, SUBSTEPS)
+    message = physics.overflowed()
+    assert message is not None and f"raise physics.{setting}={room}" in message
+    physics.close()
+
+
+def test_a_device_that_is_not_there_is_refused(task: MountTask) -> None:
+    for device in ("cuda:7", "gpu", "meta"):
+        with pytest.raises(ConfigError, match=f"physics.device={device} cannot be used"):
+            make_physics(task.scene, PhysicsConfig(engine="warp", num_worlds=1, device=device))
+
+
+def test_without_the_packages_it_says_what_to_install(task: MountTask, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "warp", None)
+    with pytest.raises(ConfigError, match=r"physics.engine=warp needs mujoco-warp.*pip install 'skatemount\[warp\]'"):
+        engine("warp", task)
+
+
+def test_a_policy_succeeds_as_often_on_both_engines(capsys: pytest.CaptureFixture[str]) -> None:
+    """Sim to sim: the same starts, the same worlds, another engine."""
+    agent, results = Agent.load("pretrained:unfixed"), {}
+    for name in ("cpu", "warp"):
+        asked = [f"physics.engine={name}", "physics.num_worlds=48"]
+        results[name] = Trial.of(agent, load_suite("approach-unfixed"), asked).evaluate(48)
+    with capsys.disabled():
+        for name, result in results.items():
+            print(f"\n{name}: {result.successes} of {result.episodes}, interval {result.interval}")
+    (low, high), (other_low, other_high) = (result.interval for result in results.values())
+    assert low <= results["warp"].success_rate <= high and other_low <= results["cpu"].success_rate <= other_high
+    # The same episodes: from the same starts.
+    first, second = (result.records.start for result in results.values())
+    torch.testing.assert_close(first, second, atol=1e-4, rtol=0)
+
+
+def test_a_training_on_it_and_its_bench(tmp_path: Path) -> None:
+    """The whole of a training, with curriculum and stuck starts, and the stopwatch, on this engine."""
+    asked = [*TINY, "physics=warp", "physics.device=cpu", "+curriculum=auto", f"logger.root={tmp_path}"]
+    trainer = Trainer(compose("unfixed", [*asked, "total_frames=64"]))
+    trainer.train()
+    assert trainer.frames == 64
+    trainer.close()
+    point = measure_point(compose("unfixed", [*asked, "bench=quick", "bench.seconds=0.01", "bench.rounds=1"]))
+    assert all(rate > 0 for rate in point.rates.values())
