@@ -73,6 +73,8 @@ def draw(measured: Measured, path: Path) -> None:
     axis, rates = axes.pop(0), measured.main.rates
     bars = axis.bar([IN_WORDS[name] for name in rates], rates.values(), color=[COLOURS[name] for name in rates])
     axis.bar_label(bars, [f"{rate / rates['raw']:.2f}" for rate in rates.values()], fontsize=8)
+    # The labels above the bars need room.
+    axis.margins(y=0.1)
     axis.set_ylabel("environment steps a second")
     axis.set_title("labels: as a fraction of raw", fontsize=9)
     axis.tick_params(axis="x", labelrotation=30)
@@ -100,6 +102,7 @@ def draw(measured: Measured, path: Path) -> None:
         names = list(reversed(shares))
         bars = axis.barh(names, [100 * shares[name] for name in names], color="#1f77b4")
         axis.bar_label(bars, fmt="%.1f", fontsize=8)
+        axis.margins(x=0.12)
         axis.set_xlabel("share of a training's time, %")
     with atomic.replacing(path) as temporary:
         figure.savefig(temporary, format="png", dpi=120)
