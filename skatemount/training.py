@@ -160,6 +160,8 @@ class Trainer:
                     "network, or init_from=null"
                 )
         load_weights(self.networks, {MODULE: agent.networks.state_dict()}, f"init_from={spec}")
+        # How widely to explore is for this run to say: what walking needed is too much for standing.
+        self.networks.limit_std(self.config.network.max_std)
         return spec
 
     def _restore(self, folder: Path) -> None:

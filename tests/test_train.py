@@ -183,6 +183,15 @@ def test_starts_from_a_runs_policy(trained: RunFolder, tmp_path: Path) -> None:
     assert str(trained.path) in trainer.describe()
 
 
+def test_a_policy_taken_over_explores_no_more_widely_than_this_run_allows(trained: RunFolder, tmp_path: Path) -> None:
+    limits = ["network.init_std=0.1", "network.max_std=0.15"]
+    trainer = Trainer(compose("mount", [*TINY, f"logger.root={tmp_path}", f"init_from={trained.path}", *limits]), [])
+    seen = trainer.env.reset()
+    trainer.close()
+    assert (trainer.networks.actor(seen)["scale"] <= 0.15).all()
+    assert not same(trainer.networks.state_dict(), weights(trained))
+
+
 def test_latest_is_of_the_settings_root(trained: RunFolder, runs_root: Path) -> None:
     root = trained.path.parent.parent
     trainer = Trainer(compose("mount", [*TINY, f"logger.root={root}", "logger.experiment=x", "init_from=latest"]), [])

@@ -44,7 +44,7 @@ class AutoCurriculum:
         self.config = config
         self._deck_height = deck_height
         edges = (config.distances, config.bearings, config.headings, config.heights)
-        self.shape = (*map(len, edges), 2)
+        self.shape = (*map(len, edges), 1 if config.free_after is None else 2)
         bins = math.prod(self.shape)
         self.trials, self.successes = torch.zeros(2, bins)
         self.opened = torch.zeros(bins, dtype=torch.bool)
@@ -92,7 +92,8 @@ class AutoCurriculum:
         # than the board's own has opened what it could, and so has a fixed board where the free one is solved.
         left = (4 * rate * (1 - rate)).view(self.shape).clone()
         left[..., :-1, :] = 0.0
-        left[..., 0].masked_fill_(self.solved().view(self.shape)[..., 1], 0.0)
+        if self.config.free_after is not None:
+            left[..., 0].masked_fill_(self.solved().view(self.shape)[..., 1], 0.0)
         learning = torch.where(self.solved(), left.flatten().clamp(min=0.05), 1.0) * useful
         alike = useful.to(rate.dtype)
         replay = self.config.replay
@@ -134,7 +135,9 @@ class AutoCurriculum:
             steps = self.shape[axis] - 1
             for onto, seen in ((1, 0), (0, 1)):
                 opened.narrow(axis, onto, steps).logical_or_(solved.narrow(axis, seen, steps))
-        ring = next((i for i, d in enumerate(self.config.distances) if d >= self.config.free_after), -1)
+        if (free_after := self.config.free_after) is None:
+            return
+        ring = next((i for i, d in enumerate(self.config.distances) if d >= free_after), -1)
         if bool(solved[ring, ..., -1, 0].any()):
             opened[..., 1] |= solved[..., 0]
 
@@ -150,7 +153,7 @@ class AutoCurriculum:
             "Curriculum/bins_solved": float(solved.sum()) / solved.numel(),
         }
         known = self.trials.view(self.shape) >= self.config.least
-        for free, name in enumerate(("fixed", "free")):
+        for free, name in enumerate(("fixed", "free")[: self.shape[-1]]):
             full = solved[..., -1, free].flatten(1)
             reach = max((d for d, s in zip(self.config.distances, full.any(1).tolist()) if s), default=0.0)
             metrics[f"Curriculum/frontier_{name}"] = reach

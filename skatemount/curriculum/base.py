@@ -87,7 +87,8 @@ class CurriculumConfig:
         headings: Upper edges of the heading's error modulo a half turn, degrees, up to 90.
         heights: Upper edges of the step up to the deck, m; the last bin is always the board's own height.
         lowest: Lower edge of the first of the heights, m.
-        free_after: Free boards join when this ring is solved on the fixed board at full height, m.
+        free_after: Free boards join when this ring is solved on the fixed board at full height, m; null for fixed
+            boards alone.
         steady: An episode counts as a success when its `EpisodeState.steadiness` exceeds this at the time limit;
             milder than the real success, which exploration noise hides.
         solved: A bin is solved when this share of its recent episodes succeeded.
@@ -110,7 +111,7 @@ class CurriculumConfig:
     headings: list[float] = field(default_factory=lambda: [20.0, 50.0, 90.0])
     heights: list[float] = field(default_factory=lambda: [0.02, 0.04, 0.065, 0.088])
     lowest: float = 0.008
-    free_after: float = 0.3
+    free_after: float | None = 0.3
     steady: float = 0.6
     solved: float = 0.5
     memory: float = 40.0

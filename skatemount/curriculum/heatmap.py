@@ -59,14 +59,15 @@ def draw_heat_map(
 
     distances, headings, heights = edges["distance"], edges["heading"], edges["height"]
     columns = len(heights)
-    figure = Figure(figsize=(1.5 + 3.6 * columns, 5.6), dpi=100, layout="constrained")
+    boards = _BOARDS[: success.shape[-1]]
+    figure = Figure(figsize=(1.5 + 3.6 * columns, 2.8 * len(boards)), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=12, parse_math=False)
-    panels = figure.subplots(2, columns, squeeze=False, sharex=True, sharey=True)
+    panels = figure.subplots(len(boards), columns, squeeze=False, sharex=True, sharey=True)
     colours = Normalize(0.0, 1.0)
     for column, high in enumerate(heights):
         name = f"step up to {1000 * high:.0f} mm" if column < columns - 1 else "full height"
-        for row, board in enumerate(_BOARDS):
+        for row, board in enumerate(boards):
             axis = panels[row, column]
             values = success[:, :, column, row]
             image = axis.pcolormesh(values.T, cmap="viridis", norm=colours, edgecolors="white", linewidth=0.5)

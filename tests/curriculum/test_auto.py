@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 import torch
@@ -92,6 +93,18 @@ def test_free_boards_wait_until_the_fixed_one_is_solved_far_enough() -> None:
     for _ in range(4):
         solve(auto)
     assert opened().all()
+
+
+def test_without_free_boards_all_starts_are_beside_fixed_ones(tmp_path: Path) -> None:
+    auto = curriculum(free_after=None, own=0.5)
+    for _ in range(sum(auto.shape)):
+        solve(auto)
+    assert auto.opened.all()
+    place = auto.place(200, torch.Generator().manual_seed(0))
+    assert place.board_fixed.all() and place.own is not None and 0 < place.own.sum() < 200
+    assert not [name for name in auto.metrics() if name.endswith("_free")]
+    auto.draw(tmp_path / "fixed.png", "fixed boards")
+    assert (tmp_path / "fixed.png").stat().st_size > 1000
 
 
 def test_solved_bins_are_practised_less_than_the_frontier_but_still_practised() -> None:
