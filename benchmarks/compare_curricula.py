@@ -44,7 +44,7 @@ METHODS = {
     "paper": ["+curriculum=paper", "logger.evaluate_every=10"],
     "forward": ["+stage=forward", "init_from=null", "logger.evaluate_every=0"],
 }
-SUITES = ("approach-fixed", "approach-unfixed")
+SUITES = ("mount-fixed", "mount-unfixed", "approach-fixed", "approach-unfixed")
 TRANSFER = "paper, end of approach"
 
 
@@ -189,9 +189,10 @@ def draw(curves: dict[str, list[list[dict[str, Any]]]], frames: int, path: Path)
     from matplotlib.figure import Figure
     from matplotlib.ticker import EngFormatter
 
-    figure = Figure(figsize=(5.2 * len(SUITES), 4.2), dpi=110, layout="constrained")
+    figure = Figure(figsize=(9.6, 7.2), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    for axis, suite in zip(figure.subplots(1, len(SUITES), sharey=True), SUITES):
+    panels = figure.subplots(2, 2, sharex=True, sharey=True)
+    for axis, suite in zip(panels.flat, SUITES):
         for colour, (method, seeds) in zip(COLOURS, curves.items()):
             lines = [([p["frames"] for p in seed], [p["success"][suite] for p in seed]) for seed in seeds if seed]
             if not lines:
@@ -202,13 +203,15 @@ def draw(curves: dict[str, list[list[dict[str, Any]]]], frames: int, path: Path)
             mean = np.mean([np.interp(grid, x, y) for x, y in lines], axis=0)
             axis.plot(grid, mean, color=colour, lw=2.4, label=method)
         axis.set_title(suite, fontsize=10)
-        axis.set_xlabel("environment steps", fontsize=9)
         axis.set_xlim(0, frames)
         axis.set_ylim(-0.03, 1.03)
         axis.xaxis.set_major_formatter(EngFormatter(sep=""))
         axis.grid(alpha=0.25)
-    figure.axes[0].set_ylabel("success rate", fontsize=9)
-    figure.axes[0].legend(fontsize=9, framealpha=0.6)
+    for axis in panels[-1]:
+        axis.set_xlabel("environment steps", fontsize=9)
+    for axis in panels[:, 0]:
+        axis.set_ylabel("success rate", fontsize=9)
+    panels[0, 0].legend(fontsize=9, framealpha=0.6)
     with atomic.replacing(path) as temporary:
         figure.savefig(temporary, format="png")
 

@@ -117,7 +117,7 @@ class Config(TaskConfig):
     resume: str | None = None
     checkpoint: str = "latest"
     pipeline: str | None = None
-    handover: float = 0.6
+    handover: float = 1.0
     suite: SuiteConfig | None = None
     episodes: int = 1000
     episode: int = 0
