@@ -167,8 +167,8 @@ class AutoCurriculum:
     def draw(self, path: Path, title: str) -> None:
         """Draw success over distance and heading, for each height and board; see `draw_heat_map`."""
         edges = {"distance": self.config.distances, "heading": self.config.headings, "height": self.config.heights}
-        rates, opened, solved = (each.view(self.shape) for each in (self.rates(), self.opened, self.solved()))
-        draw_heat_map(path, title, AXES, rates, opened, solved, edges)
+        shown = (self.rates(), self.opened, self.solved(), self.weights() == 0)
+        draw_heat_map(path, title, AXES, *(each.view(self.shape) for each in shown), edges)
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint needs."""

@@ -24,12 +24,14 @@ def draw_heat_map(
     rates: Tensor,
     opened: Tensor,
     solved: Tensor,
+    resting: Tensor,
     edges: Mapping[str, Sequence[float]],
 ) -> None:
     """Draw success over distance and heading, for fixed and free boards and each height of the step.
 
-    Bins that are not open are blank; a solved one has a black frame. The number in a bin is its success in per cent.
-    Where the grid has more axes, it is the mean of the open bins along them, and solved means that all of these are.
+    Bins that are not open are blank; a solved one has a black frame; one that no start is drawn from any more is hatched,
+    as its estimate is old. The number in a bin is its success in per cent. Where the grid has more axes, it is the mean
+    of the open bins along them, and solved or resting means that all of these are.
 
     Args:
         path: The picture (PNG), replaced in one step.
@@ -38,6 +40,7 @@ def draw_heat_map(
         rates: The grid of estimated success.
         opened: Likewise, bool.
         solved: Likewise, bool.
+        resting: Likewise, bool.
         edges: Upper edges of the bins along ``distance`` (m), ``heading`` (degrees) and ``height`` (m).
     """
     # The object interface: no global figure list, no display, safe beside a user's own plots.
@@ -55,7 +58,7 @@ def draw_heat_map(
     is_open = grid(opened)
     count = is_open.sum(-1)
     success = np.where(count > 0, (grid(rates) * is_open).sum(-1) / np.maximum(count, 1), np.nan)
-    is_solved = (count > 0) & (grid(solved) | ~is_open).all(-1)
+    is_solved, is_resting = ((count > 0) & (grid(each) | ~is_open).all(-1) for each in (solved, resting))
 
     distances, headings, heights = edges["distance"], edges["heading"], edges["height"]
     columns = len(heights)
@@ -71,7 +74,7 @@ def draw_heat_map(
             axis = panels[row, column]
             values = success[:, :, column, row]
             image = axis.pcolormesh(values.T, cmap="viridis", norm=colours, edgecolors="white", linewidth=0.5)
-            _mark(axis, values, is_solved[:, :, column, row])
+            _mark(axis, values, is_solved[:, :, column, row], is_resting[:, :, column, row])
             axis.set_title(f"{board}, {name}", fontsize=9)
     for axis in panels.flat:
         axis.set_xticks(range(len(distances) + 1), [f"{d:g}" for d in (0.0, *distances)], fontsize=7)
@@ -87,8 +90,8 @@ def draw_heat_map(
         figure.savefig(temporary, format="png")
 
 
-def _mark(axis: Axes, values: np.ndarray, solved: np.ndarray) -> None:
-    """Write each open bin's success into it, and frame the solved ones."""
+def _mark(axis: Axes, values: np.ndarray, solved: np.ndarray, resting: np.ndarray) -> None:
+    """Write each open bin's success into it, frame the solved ones, hatch the resting ones."""
     from matplotlib.patches import Rectangle
 
     for (x, y), value in np.ndenumerate(values):
@@ -96,5 +99,7 @@ def _mark(axis: Axes, values: np.ndarray, solved: np.ndarray) -> None:
             continue
         shade = "black" if value > 0.6 else "white"
         axis.text(x + 0.5, y + 0.5, f"{100 * value:.0f}", ha="center", va="center", fontsize=7, color=shade)
+        if resting[x, y]:
+            axis.add_patch(Rectangle((x, y), 1, 1, fill=False, lw=0, hatch="///", edgecolor="0.45"))
         if solved[x, y]:
             axis.add_patch(Rectangle((x + 0.06, y + 0.06), 0.88, 0.88, fill=False, lw=1.4, edgecolor="black"))

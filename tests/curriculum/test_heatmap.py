@@ -51,3 +51,13 @@ def test_success_per_distance_is_logged_where_it_is_known() -> None:
     logged = {name: value for name, value in auto.metrics().items() if name.endswith("m")}
     assert list(logged) == ["Curriculum/success_0.1m"]
     torch.testing.assert_close(logged["Curriculum/success_0.1m"], 0.75)
+
+
+def test_bins_from_which_no_start_is_drawn_any_more_look_different(tmp_path: Path) -> None:
+    pictures = []
+    for beyond in (None, 0.5):
+        auto = AutoCurriculum(CurriculumConfig(kind="auto", own=0.5, own_beyond=beyond), 0.088)
+        auto.opened[:] = True
+        auto.draw(tmp_path / "x.png", "")
+        pictures.append(imread(tmp_path / "x.png"))
+    assert (pictures[0] != pictures[1]).any()
