@@ -167,8 +167,16 @@ class AutoCurriculum:
     def draw(self, path: Path, title: str) -> None:
         """Draw success over distance and heading, for each height and board; see `draw_heat_map`."""
         edges = {"distance": self.config.distances, "heading": self.config.headings, "height": self.config.heights}
-        shown = (self.rates(), self.opened, self.solved(), self.weights() == 0)
-        draw_heat_map(path, title, AXES, *(each.view(self.shape) for each in shown), edges)
+        draw_heat_map(
+            path,
+            title,
+            AXES,
+            rates=self.rates().view(self.shape),
+            opened=self.opened.view(self.shape),
+            solved=self.solved().view(self.shape),
+            resting=(self.weights() == 0).view(self.shape),
+            edges=edges,
+        )
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint needs."""

@@ -29,9 +29,9 @@ def draw_heat_map(
 ) -> None:
     """Draw success over distance and heading, for fixed and free boards and each height of the step.
 
-    Bins that are not open are blank; a solved one has a black frame; one that no start is drawn from any more is hatched,
-    as its estimate is old. The number in a bin is its success in per cent. Where the grid has more axes, it is the mean
-    of the open bins along them, and solved or resting means that all of these are.
+    Bins that are not open are blank; a solved one has a black frame; one that no start is drawn from any more is
+    hatched, as its estimate is old. The number in a bin is its success in per cent. Where the grid has more axes, it is
+    the mean of the open bins along them, and solved or resting means that all of these are.
 
     Args:
         path: The picture (PNG), replaced in one step.
