@@ -39,11 +39,12 @@ from skatemount.plots import COLOURS
 from skatemount.runs import RunFolder
 
 METHODS = {
-    "auto": ["+stage=unfixed", "+curriculum=auto", "init_from=null", "logger.evaluate_every=0"],
-    # Gates need evaluations; they are not counted as steps.
-    "paper": ["+curriculum=paper", "logger.evaluate_every=10"],
-    "forward": ["+stage=forward", "init_from=null", "logger.evaluate_every=0"],
+    "auto": ["+stage=unfixed", "+curriculum=auto", "init_from=null"],
+    "paper": ["+curriculum=paper"],
+    "forward": ["+stage=forward", "init_from=null"],
 }
+GATED = {"paper": 20}
+"""Evaluations of a whole training, for the gates of a chain's stages; they are not counted as steps."""
 SUITES = ("mount-fixed", "mount-unfixed", "approach-fixed", "approach-unfixed")
 TRANSFER = "paper, end of approach"
 
@@ -124,13 +125,15 @@ class Comparison:
     def _logger(self, method: str) -> list[str]:
         config = configuration.compose("forward", self._overrides)
         iterations = self.frames / (config.physics.num_worlds * config.collector.steps)
-        every = max(1, math.ceil(iterations / self.points))
-        evaluated = [each for each in METHODS[method] if each.startswith("logger.")]
+
+        def every(times: int) -> int:
+            return max(1, math.ceil(iterations / times))
+
         return [
-            f"logger.checkpoint_every={every}",
+            f"logger.checkpoint_every={every(self.points)}",
+            f"logger.evaluate_every={every(GATED[method]) if method in GATED else 0}",
             "logger.keep_checkpoints=1000",
             "logger.final_episodes=0",
-            *evaluated,
         ]
 
     def saved(self, run: RunFolder) -> list[Saved]:
