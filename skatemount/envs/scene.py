@@ -31,6 +31,7 @@ class SolverConfig:
         solver: MuJoCo's constraint solver, ``Newton``, ``CG`` or ``PGS``.
         iterations: Largest number of solver iterations.
         ls_iterations: Largest number of line-search iterations.
+        tolerance: Improvement below which the solver stops early.
         cone: Friction cone, ``pyramidal`` or ``elliptic``.
         impratio: Ratio of frictional to normal constraint impedance.
     """
@@ -40,6 +41,7 @@ class SolverConfig:
     solver: str = "Newton"
     iterations: int = 20
     ls_iterations: int = 10
+    tolerance: float = 1e-8
     cone: str = "pyramidal"
     impratio: float = 1.0
 
@@ -52,6 +54,8 @@ class SolverConfig:
         """Raise `ConfigError` for values that cannot be simulated."""
         if not 1e-4 <= self.timestep <= 0.02:
             raise ConfigError(f"{where}.timestep={self.timestep} must be within 0.0001 and 0.02 seconds")
+        if not 0 <= self.tolerance <= 1:
+            raise ConfigError(f"{where}.tolerance={self.tolerance} must be within 0 and 1")
         if not 0 < self.impratio <= 1000:
             raise ConfigError(f"{where}.impratio={self.impratio} must be above 0 and at most 1000")
         for name in ("substeps", "iterations", "ls_iterations"):
@@ -129,6 +133,7 @@ class Scene:
         option.solver = self.solver.solver
         option.iterations = self.solver.iterations
         option.ls_iterations = self.solver.ls_iterations
+        option.tolerance = self.solver.tolerance
         option.cone = self.solver.cone
         option.impratio = self.solver.impratio
 
