@@ -10,8 +10,9 @@ Networks and algorithm are the same for all: those of the automatic curriculum's
 are evaluated afterwards on the same suites from the same seeds, beside a fixed board and beside a free one. A last row
 says how the policy of the chain's stage approach, which knows fixed boards alone, does on a free one without training.
 
-Trainings run one after the other. Whatever is finished is not done again: start it anew to go on. Settings after the
-options are for every training, such as `physics.num_worlds=128`.
+Trainings run one after the other. Whatever is finished is not done again: start it anew to go on. With a core for each,
+several may run at once with the same `--out` and other `--seeds`; started once more with all seeds, it makes table and
+figure. Settings after the options are for every training, such as `physics.num_worlds=128`.
 """
 
 from __future__ import annotations
@@ -88,8 +89,13 @@ class Comparison:
             sys.exit(f"{folder} holds a comparison with other settings ({path}): name another folder with --out")
         atomic.write_text(path, json.dumps(plan, indent=2) + "\n")
         self._evaluations = folder / "evaluations.json"
-        done = self._evaluations.read_text() if self._evaluations.is_file() else "{}"
-        self.evaluated: dict[str, dict[str, int]] = json.loads(done)
+        self.evaluated: dict[str, dict[str, int]] = {}
+        self._look_up()
+
+    def _look_up(self) -> None:
+        """Take over what the file of results knows: another process may evaluate other seeds meanwhile."""
+        if self._evaluations.is_file():
+            self.evaluated |= json.loads(self._evaluations.read_text())
 
     def run(self, method: str, seed: int) -> RunFolder | None:
         """The run folder of a training, if it has begun and can go on."""
@@ -160,6 +166,7 @@ class Comparison:
             if self.evaluated.get(key, {}).get("episodes") != episodes:
                 agent = agent or Agent.load(str(saved.folder))
                 successes = count_successes(agent, suite, episodes)
+                self._look_up()
                 self.evaluated[key] = {"successes": successes, "episodes": episodes}
                 atomic.write_text(self._evaluations, json.dumps(self.evaluated, indent=2) + "\n")
             rates[suite] = self.evaluated[key]["successes"] / episodes
