@@ -120,8 +120,8 @@ class Trainer:
         if self.curriculum is not None:
             self.env.listeners.append(self.curriculum.record)
             self.env.place_starts(self.curriculum.place)
-        if config.curriculum.harvest or config.curriculum.retry:
-            Harvest(self.env, config.curriculum.harvest, config.curriculum.retry)
+        if config.curriculum.harvest:
+            Harvest(self.env, config.curriculum.harvest)
         self.frames = self.iteration = 0
         self.elapsed = 0.0
         self._evaluator: Evaluator | None = None

@@ -100,7 +100,6 @@ class CurriculumConfig:
         own_beyond: With them, bins farther out than this are left to them, m; none if null.
         harvest: Share of the starts in the stage's own ranges that are instead states of earlier episodes in which a
             robot was stuck: half-mounted more than two seconds after the first contact. With any kind but ``stages``.
-        retry: Share of them that are instead the starts of episodes that failed, likewise.
     """
 
     kind: str = "none"
@@ -121,7 +120,6 @@ class CurriculumConfig:
     own: float = 0.0
     own_beyond: float | None = None
     harvest: float = 0.0
-    retry: float = 0.0
 
     def validate(self, where: str = "curriculum") -> None:
         """Raise `ConfigError` for settings that cannot be used."""
@@ -149,17 +147,10 @@ class CurriculumConfig:
                 f"{where}.own_beyond={self.own_beyond} must be null, or at least distances[0]={self.distances[0]} m: "
                 "some bins must be left"
             )
-        for name in ("harvest", "retry"):
-            value = getattr(self, name)
-            if not 0 <= value < 1:
-                raise ConfigError(f"{where}.{name}={value} must be a share, 0 or more and below 1")
-            if value and self.kind == "stages":
-                raise ConfigError(f"{where}.{name}={value} must be 0 in a chain of stages")
-        if self.harvest + self.retry >= 1:
-            raise ConfigError(
-                f"{where}.harvest={self.harvest} and {where}.retry={self.retry} must be below 1 together: "
-                "other starts must be left to fail from"
-            )
+        if not 0 <= self.harvest < 1:
+            raise ConfigError(f"{where}.harvest={self.harvest} must be a share, 0 or more and below 1")
+        if self.harvest and self.kind == "stages":
+            raise ConfigError(f"{where}.harvest={self.harvest} must be 0 in a chain of stages")
         if not self.memory > 0:
             raise ConfigError(f"{where}.memory={self.memory} must be above 0")
         if not 0 < self.least <= self.memory:

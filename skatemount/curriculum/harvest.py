@@ -1,4 +1,4 @@
-"""States of earlier episodes as starts: robots that are stuck, half-mounted, and starts from which they failed."""
+"""States of rollouts in which a robot is stuck, half-mounted, as starts: the way out of them is practised."""
 
 from __future__ import annotations
 
@@ -23,8 +23,6 @@ MAX_TILT = math.radians(5.0)
 """Of the deck: boards start level, and the robot's feet must still be where they were."""
 STUCK_AFTER = 2.0
 """Half-mounted this long after a foot first pressed on the deck, a robot is not on its way any more, s."""
-OWN, AGAIN = -1, -2
-"""What `WorldStart.bin` is of starts in the stage's own ranges, and of those that an earlier episode has left."""
 
 
 def half_mounted(sim: SimState, episode: EpisodeState) -> Tensor:
@@ -71,52 +69,33 @@ def as_starts(sim: SimState, deck_height: float) -> WorldStart:
 
 
 class Harvest:
-    """Lets a share of an environment's starts be states of its earlier episodes: robots that are stuck, and failures.
+    """Collects half-mounted states of an environment, and lets a share of its starts be such states.
 
-    Both are kept in memory alone: after a resume it is filled anew, within an iteration or two.
+    It is filled anew after a resume, within an iteration or two.
 
     Args:
         env: The environment; it is listened to, and its starts are changed from the next draw on.
-        stuck: Share of the starts in the stage's own ranges that are states in which a robot was half-mounted.
-        failed: Share of them that are the starts of episodes that failed. What fails again is not counted twice, or
-            soon hardly anything but hopeless starts would be left.
-        after: A half-mounted state is kept if it is older than this, seconds from the first foot-deck contact.
+        share: Of the starts in the stage's own ranges.
+        after: What is kept is older than this, seconds from the first foot-deck contact.
     """
 
-    def __init__(self, env: MountEnv, stuck: float, failed: float = 0.0, after: float = STUCK_AFTER):
-        self._env, self._after = env, after
-        self._shares = {"stuck": stuck, "failed": failed}
-        self._kept: dict[str, WorldStart] = {}
-        self._steps = 0
+    def __init__(self, env: MountEnv, share: float, after: float = STUCK_AFTER):
+        self._env, self._share, self._after = env, share, after
+        self._kept: WorldStart | None = None
         env.listeners.append(self.record)
         env.change_starts(self.mix)
 
     def record(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
-        """Keep some of a step's stuck robots, and where failed episodes started; a listener of `MountEnv`."""
-        env, context = self._env, self._env.mdp.context
-        self._steps += 1
-        if self._shares["stuck"]:
-            trying = episode.step * context.control_step - episode.first_contact
-            rows = self._some(half_mounted(env.sim, episode) & (trying > self._after) & ~done)
-            if len(rows):
-                # Mypy does not see tensorclass's own.
-                self._keep("stuck", as_starts(env.sim[rows], env.task.scene.deck_height))  # type: ignore[index]
-        # The first episodes may have begun in the middle.
-        if self._shares["failed"] and self._steps > context.episode_steps:
-            rows = self._some(done & ~outcome.succeeded & (episode.bin == OWN))
-            if len(rows):
-                self._keep("failed", env.starts[rows])
-
-    def _some(self, mask: Tensor) -> Tensor:
-        """At most `PER_STEP` rows of a mask."""
-        rows = mask.nonzero().flatten()
+        """Keep some of a step's states of stuck robots; a listener of `MountEnv`."""
+        env = self._env
+        trying = episode.step * env.mdp.context.control_step - episode.first_contact
+        rows = (half_mounted(env.sim, episode) & (trying > self._after) & ~done).nonzero().flatten()
         if not len(rows):
-            return rows
-        return rows[torch.randperm(len(rows), generator=self._env.generator, device=rows.device)[:PER_STEP]]
-
-    def _keep(self, kind: str, new: WorldStart) -> None:
-        kept = self._kept.get(kind)
-        self._kept[kind] = (new if kept is None else WorldStart.cat([kept, new]))[-SIZE:]
+            return
+        rows = rows[torch.randperm(len(rows), generator=env.generator, device=rows.device)[:PER_STEP]]
+        # Mypy does not see tensorclass's own.
+        new = as_starts(env.sim[rows], env.task.scene.deck_height)  # type: ignore[index]
+        self._kept = new if self._kept is None else WorldStart.cat([self._kept, new])[-SIZE:]
 
     def mix(self, starts: WorldStart, generator: torch.Generator) -> WorldStart:
         """Put kept states in the place of a share of starts that belong to no bin; the wrench on the trunk stays.
@@ -125,15 +104,10 @@ class Harvest:
             starts: As drawn.
             generator: Source of randomness.
         """
-        if not self._kept:
+        if self._kept is None:
             return starts
-        n, low, own = len(starts), 0.0, starts.bin == OWN
-        chance = uniform((n,), generator)
-        for kind, kept in self._kept.items():
-            high = low + self._shares[kind]
-            picked = kept[torch.randint(len(kept), (n,), generator=generator, device=generator.device)]
-            picked.force, picked.torque = starts.force, starts.torque
-            picked.bin = torch.full_like(starts.bin, AGAIN)
-            starts = WorldStart.where((chance >= low) & (chance < high) & own, picked, starts)
-            low = high
-        return starts
+        n = len(starts)
+        replaced = (uniform((n,), generator) < self._share) & (starts.bin < 0)
+        picked = self._kept[torch.randint(len(self._kept), (n,), generator=generator, device=generator.device)]
+        picked.force, picked.torque = starts.force, starts.torque
+        return WorldStart.where(replaced, picked, starts)

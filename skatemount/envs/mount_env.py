@@ -12,7 +12,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from skatemount.envs.mdp import Outcome
-from skatemount.envs.physics.base import Physics, WorldStart, make_physics
+from skatemount.envs.physics.base import Physics, make_physics
 from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.starts import Change, Place, StartQueue
 from skatemount.envs.state import EpisodeState, SimState
@@ -74,7 +74,6 @@ class MountEnv(EnvBase):
         self._place: Place | None = None
         self._change: Change | None = None
         self._sim: SimState | None = None
-        self._starts: WorldStart | None = None
         self._substeps = config.substeps
         self._random_phase = random_phase
         self._make_specs(n)
@@ -96,17 +95,6 @@ class MountEnv(EnvBase):
     def episode(self) -> EpisodeState:
         """The present episode of every world; at a step that is done, the one that ends there."""
         return self._episode
-
-    @property
-    def starts(self) -> WorldStart:
-        """Where the present episode of every world began.
-
-        Raises:
-            RuntimeError: There has been no reset yet.
-        """
-        if self._starts is None:
-            raise RuntimeError("no episode has begun: reset the environment first")
-        return self._starts
 
     def _make_specs(self, n: int) -> None:
         bound = self.task.scene.robot.config.action_clip
@@ -153,7 +141,6 @@ class MountEnv(EnvBase):
         self._randomizer.new_episodes(self.physics, mask)
         start = self._queue.take(mask)
         self.physics.reset(mask, start)
-        self._starts = start if self._starts is None else WorldStart.where(mask, start, self._starts)
         if self._pushes.active:
             self._pushes.restart(mask)
         self.statistics.restart(mask)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from skatemount.config import compose
-from skatemount.curriculum.harvest import AGAIN, SIZE, Harvest, as_starts, half_mounted
+from skatemount.curriculum.harvest import SIZE, Harvest, as_starts, half_mounted
 from skatemount.envs import MountEnv
 from skatemount.envs.geometry import rotate, rotate_inverse
 from skatemount.envs.physics.base import WorldStart
@@ -65,7 +65,8 @@ def test_only_what_is_half_mounted_is_kept(make_env: Callable[..., MountEnv]) ->
     harvest = Harvest(env, 0.5, after=0.0)
     fidget(env)
     assert (env.episode.on_deck.sum(1) == 0).any()
-    kept = harvest._kept["stuck"]
+    kept = harvest._kept
+    assert kept is not None
     mask = torch.arange(64) < len(kept)
     env.physics.reset(mask, WorldStart.cat([kept] * 64)[:64])
     feet = env.physics.state().foot_pos_board
@@ -84,7 +85,7 @@ def test_a_share_of_the_starts_is_replaced(env: MountEnv) -> None:
     replaced = (mixed.joint_pos != drawn.joint_pos).any(1)
     assert 0.2 < float(replaced.float().mean()) < 0.3
     assert torch.equal(mixed.base_pos[~replaced], drawn.base_pos[~replaced])
-    assert (mixed.bin[replaced] < 0).all() and torch.equal(mixed.force, drawn.force)
+    assert (mixed.bin[replaced] == -1).all() and torch.equal(mixed.force, drawn.force)
     assert mixed.joint_vel[replaced].abs().max() > 0.1
 
 
@@ -100,9 +101,9 @@ def test_starts_of_a_bin_stay(env: MountEnv) -> None:
 def test_a_robot_on_its_way_is_not_kept(env: MountEnv) -> None:
     harvest = Harvest(env, 0.5, after=0.1)
     fidget(env, steps=3)  # 0.12 s, the contact at 0.04
-    assert half_mounted(env.sim, env.episode).any() and not harvest._kept
+    assert half_mounted(env.sim, env.episode).any() and harvest._kept is None
     fidget(env, steps=8)
-    assert harvest._kept
+    assert harvest._kept is not None
 
 
 def test_the_environment_starts_from_them(env: MountEnv) -> None:
@@ -117,83 +118,18 @@ def test_the_environment_starts_from_them(env: MountEnv) -> None:
 def test_old_states_make_room(env: MountEnv) -> None:
     harvest = Harvest(env, 0.5, after=0.0)
     fidget(env)
-    kept = harvest._kept["stuck"]
-    harvest._kept["stuck"] = WorldStart.cat([kept] * (SIZE // len(kept) + 1))
+    assert harvest._kept is not None
+    harvest._kept = WorldStart.cat([harvest._kept] * (SIZE // len(harvest._kept) + 1))
     fidget(env)
-    assert len(harvest._kept["stuck"]) == SIZE
-
-
-def fail(env: MountEnv, episodes: int, action: float = 1.0) -> None:
-    """Act so that nothing succeeds, until so many episodes of every world have ended."""
-    seen = env.reset()
-    for _ in range(episodes * env.mdp.context.episode_steps):
-        seen["action"] = torch.full((env.num_worlds, 12), action)
-        _, seen = env.step_and_maybe_reset(seen)
-
-
-def test_failed_episodes_are_begun_again(make_env: Callable[..., MountEnv]) -> None:
-    env = make_env("mount", 16, [*STARTS, "episode_length=0.4"])
-    harvest = Harvest(env, 0.0, failed=0.5)
-    first = None
-    seen = env.reset()
-    for step in range(2 * env.mdp.context.episode_steps + 1):
-        seen["action"] = torch.ones(16, 12)
-        begun = env.starts
-        following, seen = env.step_and_maybe_reset(seen)
-        ended = following["next", "done"].squeeze(1)
-        if step < env.mdp.context.episode_steps:
-            assert not harvest._kept  # such an episode may have begun in the middle
-        elif first is None and ended.any():
-            first = begun[ended]
-            kept = harvest._kept["failed"]
-            order = kept.joint_pos[:, 0].argsort(), first.joint_pos[:, 0].argsort()
-            for name, value in vars(kept).items():
-                assert torch.equal(value[order[0]], getattr(first, name)[order[1]]), name
-    assert first is not None
-    drawn = env.task.make_sampler().draw(2000, torch.Generator().manual_seed(0))
-    mixed = harvest.mix(drawn, torch.Generator().manual_seed(0))
-    replaced = (mixed.joint_pos != drawn.joint_pos).any(1)
-    assert 0.45 < float(replaced.float().mean()) < 0.55
-    known = {tuple(each) for each in harvest._kept["failed"].joint_pos.tolist()}
-    assert {tuple(each) for each in mixed.joint_pos[replaced].tolist()} <= known
-
-
-def test_a_start_that_fails_again_is_not_kept_again(make_env: Callable[..., MountEnv]) -> None:
-    env = make_env("mount", 16, [*STARTS, "episode_length=0.4"])
-    harvest = Harvest(env, 0.0, failed=0.9)
-    fail(env, 2)
-    env.change_starts(harvest.mix)  # what was drawn before anything had failed is left
-    fail(env, 8)
-    assert (env.starts.bin == AGAIN).any()
-    places = harvest._kept["failed"].base_pos
-    assert len(places) > 16 and len(places.unique(dim=0)) == len(places)
-
-
-def test_both_kinds_have_their_share(env: MountEnv) -> None:
-    harvest = Harvest(env, 0.25, failed=0.5, after=0.0)
-    fidget(env)
-    drawn = env.task.make_sampler().draw(4000, torch.Generator().manual_seed(0))
-    harvest._kept["failed"] = drawn[:1]
-    mixed = harvest.mix(drawn, torch.Generator().manual_seed(0))
-    again = mixed.bin == AGAIN
-    failed = again & (mixed.joint_pos == drawn.joint_pos[:1]).all(1)
-    assert 0.47 < float(failed.float().mean()) < 0.53
-    assert 0.22 < float((again & ~failed).float().mean()) < 0.28
+    assert len(harvest._kept) == SIZE
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.0])
-@pytest.mark.parametrize("name", ["harvest", "retry"])
-def test_share_out_of_range(name: str, share: float) -> None:
-    with pytest.raises(ConfigError, match=rf"curriculum\.{name}=.* below 1"):
-        compose("mount", [f"curriculum.{name}={share}"])
+def test_share_out_of_range(share: float) -> None:
+    with pytest.raises(ConfigError, match=r"curriculum\.harvest=.* below 1"):
+        compose("mount", [f"curriculum.harvest={share}"])
 
 
-def test_some_starts_must_be_left() -> None:
-    with pytest.raises(ConfigError, match=r"harvest=0\.6 and curriculum\.retry=0\.5 must be below 1 together"):
-        compose("mount", ["curriculum.harvest=0.6", "curriculum.retry=0.5"])
-
-
-@pytest.mark.parametrize("name", ["harvest", "retry"])
-def test_not_in_a_chain(name: str) -> None:
-    with pytest.raises(ConfigError, match=rf"curriculum\.{name}=0\.2 .*chain"):
-        compose(None, ["+curriculum=paper", f"curriculum.{name}=0.2"])
+def test_not_in_a_chain() -> None:
+    with pytest.raises(ConfigError, match=r"curriculum\.harvest=0\.2 .*chain"):
+        compose(None, ["+curriculum=paper", "curriculum.harvest=0.2"])

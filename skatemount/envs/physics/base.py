@@ -149,7 +149,7 @@ class WorldStart:
         board_speed: ``[N]`` speed of the rolling board along its x axis, m/s; 0 where it is fixed.
         force: ``[N, 3]`` constant force on the trunk for the episode, world, N.
         torque: ``[N, 3]`` constant torque on the trunk, world, N m.
-        bin: ``[N]`` int64, the part of a curriculum that the start comes from, below 0 for none; no engine looks at it.
+        bin: ``[N]`` int64, the part of a curriculum that the start comes from, -1 for none; no engine looks at it.
     """
 
     base_pos: Tensor
