@@ -10,9 +10,10 @@ Networks and algorithm are the same for all: those of the automatic curriculum's
 are evaluated afterwards on the same suites from the same seeds, beside a fixed board and beside a free one. A last row
 says how the policy of the chain's stage approach, which knows fixed boards alone, does on a free one without training.
 
-Trainings run one after the other. Whatever is finished is not done again: start it anew to go on. With a core for each,
-several may run at once with the same `--out` and other `--seeds`; started once more with all seeds, it makes table and
-figure. Settings after the options are for every training, such as `physics.num_worlds=128`.
+Trainings run one after the other. Whatever is finished is not done again: start it anew to go on. Settings after the
+options are for every training, such as `physics.num_worlds=128`. Several processes may share `--out`, each with seeds
+or methods of its own and the same settings, `physics.threads=1 torch_threads=1` among them; started once more with
+all seeds and methods, it makes table and figure.
 """
 
 from __future__ import annotations

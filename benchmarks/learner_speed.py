@@ -141,7 +141,7 @@ def main() -> None:
     )
     ratio = best["rsl_rl, medium"]
     for name, took in best.items():
-        print(f"  {name:20s} {1000 * took:8.1f} ms   {ratio / took:.2f} x rsl_rl at the same precision as ours")
+        print(f"  {name:20s} {1000 * took:8.1f} ms   {ratio / took:.2f} x rsl_rl, medium")
     if options.json:
         options.json.write_text(json.dumps({"seconds": best, "worlds": options.worlds}, indent=2))
 

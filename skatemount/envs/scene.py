@@ -31,7 +31,7 @@ class SolverConfig:
         solver: MuJoCo's constraint solver, ``Newton``, ``CG`` or ``PGS``.
         iterations: Largest number of solver iterations.
         ls_iterations: Largest number of line-search iterations.
-        tolerance: Improvement below which the solver stops early.
+        tolerance: Improvement below which the solver stops early; mujoco_warp takes 1e-6 at the least.
         cone: Friction cone, ``pyramidal`` or ``elliptic``.
         impratio: Ratio of frictional to normal constraint impedance.
     """
