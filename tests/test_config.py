@@ -280,6 +280,7 @@ def test_missing_configuration_is_one_line(tmp_path: Path, monkeypatch: pytest.M
         (["algorithm.learning_rate=inf"], "algorithm.learning_rate"),
         (["total_frames=1e6"], "total_frames=1e6.*; write 1000000$"),
         (["physics.impratio=-1"], "physics.impratio"),
+        (["physics.tolerance=2"], r"physics.tolerance=2.0 must be within 0 and 1"),
         (["algorithm.minibatches=100000000"], "algorithm.minibatches"),
         (["logger.root="], "logger.root"),
     ],

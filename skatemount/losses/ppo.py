@@ -222,7 +222,7 @@ class PPO:
         for _ in range(self.config.epochs):
             order = torch.randperm(flat.shape[0], generator=self._generator, device=flat.device)
             for rows in order.chunk(self.config.minibatches):
-                # Whole rows are copied; an index would go through their numbers one by one, five times slower.
+                # Whole rows are copied; an index would go through their numbers one by one.
                 part = flat.apply(lambda values, rows=rows: values.index_select(0, rows), batch_size=[len(rows)])
                 losses = self._step(part)
                 updates += 1

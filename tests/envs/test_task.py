@@ -223,3 +223,10 @@ def test_the_batch_takes_its_randomness_from_itself_and_not_from_its_task(make_e
         assert torch.equal(a, b)
     alone.close()
     shared.close()
+
+
+def test_solver_settings_reach_the_model() -> None:
+    asked = {"iterations": 7, "ls_iterations": 6, "tolerance": 1e-5, "impratio": 2.0, "timestep": 0.008}
+    task = MountTask(stage="balance", overrides=[f"physics.{name}={value}" for name, value in asked.items()])
+    option = task.scene.compile(visuals=False).opt
+    assert {name: getattr(option, name) for name in asked} == asked
