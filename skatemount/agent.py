@@ -211,6 +211,11 @@ def check_contract(card: Card, task: MountTask, where: str = "checkpoint") -> No
         b = ours[i] if i < len(ours) else None
         if a != b:
             raise ConfigError(f"{where}: part {i + 1} of its observation is {_part(a)}, the task gives {_part(b)}")
+    check_actions(card, task, where)
+
+
+def check_actions(card: Card, task: MountTask, where: str) -> None:
+    """Make sure that a policy's actions mean in a task what they meant in training; see `check_contract`."""
     action = action_contract(task)
     for name, value in action.items():
         if card.action.get(name) != value:

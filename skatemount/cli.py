@@ -18,7 +18,7 @@ from skatemount.config import Config
 from skatemount.errors import ConfigError
 
 _BELONGS_TO = {
-    "init_from": ("train", "bench"),
+    **dict.fromkeys(("init_from", "grow"), ("train", "bench")),
     "resume": ("train",),
     **dict.fromkeys(("checkpoint", "pipeline", "handover", "suite"), ("evaluate", "record")),
     "output": ("evaluate", "record", "bench"),

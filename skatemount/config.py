@@ -114,6 +114,7 @@ class Config(TaskConfig):
     precision: str = "medium"
     torch_threads: int = 0
     init_from: str | None = "stage"
+    grow: bool = False
     resume: str | None = None
     checkpoint: str = "latest"
     pipeline: str | None = None

@@ -15,7 +15,7 @@ from torchrl.collectors import Collector
 
 from skatemount import checkpoint
 from skatemount import config as configuration
-from skatemount.agent import JOINTS, MODULE, Agent, check_contract, load_weights, make_card
+from skatemount.agent import JOINTS, MODULE, Agent, make_card
 from skatemount.benchmark.evaluation import EVALUATION_SEED, NUM_WORLDS, Evaluator
 from skatemount.benchmark.results import Evaluation
 from skatemount.config import Config
@@ -28,13 +28,16 @@ from skatemount.envs.physics.cpu import available_cores
 from skatemount.errors import ConfigError
 from skatemount.loggers import MetricsLog, Progress, compact, plot_learning_curves
 from skatemount.losses.ppo import PPO
+from skatemount.memory import keep_freed_memory
 from skatemount.models import ActorCritic
 from skatemount.runs import RunFolder, find_checkpoint
 from skatemount.symmetric import Mirror
+from skatemount.transfer import take_over
 
 
-def set_torch_threads(config: Config) -> None:
-    """Torch's threads and matrix precision; physics and torch take turns, so both may have every core."""
+def set_up_process(config: Config) -> None:
+    """Torch's threads and matrix precision, and memory; physics and torch take turns, so both may have every core."""
+    keep_freed_memory()
     torch.set_num_threads(config.torch_threads or available_cores())
     torch.set_float32_matmul_precision("highest" if config.precision == "highest" else "medium")
 
@@ -96,7 +99,7 @@ class Trainer:
 
     def __init__(self, config: Config, overrides: list[str] | None = None, parent: RunFolder | None = None):
         self.config = config
-        set_torch_threads(config)
+        set_up_process(config)
         torch.manual_seed(config.seed)
         self.task = MountTask(config=config)
         collector = config.collector
@@ -151,15 +154,7 @@ class Trainer:
         if spec is None:
             return None
         agent = Agent.load(spec, self.config.logger.root, "init_from")
-        check_contract(agent.card, self.task, f"init_from={spec}")
-        for name in ("actor", "critic", "activation", "normalize", "symmetric"):
-            theirs, ours = (getattr(config.network, name) for config in (agent.config, self.config))
-            if theirs != ours:
-                raise ConfigError(
-                    f"init_from={spec}: its network has {name}={theirs}, this run's {name}={ours}: choose the same "
-                    "network, or init_from=null"
-                )
-        load_weights(self.networks, {MODULE: agent.networks.state_dict()}, f"init_from={spec}")
+        take_over(self.networks, agent, self.task, self.config.grow, f"init_from={spec}")
         # How widely to explore is for this run to say: what walking needed is too much for standing.
         self.networks.limit_std(self.config.network.max_std)
         return spec

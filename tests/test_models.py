@@ -9,8 +9,10 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from skatemount.activations import ELU
 from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic, BoundedNormalScale, NetworkConfig, RunningNormalizer
+from skatemount.symmetric import Mirror
 
 SMALL = NetworkConfig(actor=[16, 8], critic=[12])
 
@@ -158,6 +160,38 @@ def test_without_normaliser() -> None:
     state = {key: value.clone() for key, value in networks.state_dict().items()}
     networks.observe(seen(8, scale=9.0))
     assert all(torch.equal(state[key], value) for key, value in networks.state_dict().items())
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+@pytest.mark.parametrize("normalize", [False, True])
+def test_learners_do_what_actor_and_critic_do(symmetric: bool, normalize: bool) -> None:
+    """Where most of what is seen has a mirror image, so that its two parts are no mere copies of it."""
+    torch.manual_seed(0)
+    swapped = torch.tensor([1, 0, 2, 4, 3, 5, 6, 8, 7]), torch.tensor([1.0, 1, -1, -1, -1, 1, 1, 1, 1])
+    mirrors = Mirror(*swapped), Mirror(torch.arange(4), torch.tensor([1.0, -1, 1, -1])), Mirror.halves(12)
+    config = dataclasses.replace(SMALL, normalize=normalize, symmetric=symmetric)
+    networks, batch = ActorCritic(config, 9, 4, 12, mirrors), seen(20, 3, scale=2.0)
+    networks.observe(batch)
+    actor, critic = networks.learners()
+    prepared = networks.prepare(batch)
+    loc, scale = gaussian(networks, batch)
+    with torch.no_grad():
+        other = actor.get_dist(prepared).base_dist
+        torch.testing.assert_close(other.loc, loc)
+        assert torch.equal(other.scale, scale)
+        torch.testing.assert_close(critic(prepared)["state_value"], networks.critic(batch)["state_value"])
+    assert {id(p) for p in networks.parameters()} == {id(p) for net in (actor, critic) for p in net.parameters()}
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_elu_is_torchs(dtype: torch.dtype) -> None:
+    values = [-1e30, -100.0, -20.0, -1.0, -1e-3, -1e-6, -0.0, 0.0, 1e-6, 1e-3, 1.0, 100.0, 1e30]
+    x = torch.tensor(values, dtype=dtype, requires_grad=True)
+    expected = torch.nn.functional.elu(x)
+    torch.testing.assert_close(ELU()(x), expected, rtol=0.0, atol=1e-7)
+    (slope,) = torch.autograd.grad(ELU()(x).sum(), x)
+    torch.testing.assert_close(slope, torch.autograd.grad(expected.sum(), x)[0], rtol=0.0, atol=1e-6)
+    assert bool(ELU()(torch.tensor([torch.nan], dtype=dtype)).isnan())
 
 
 @pytest.mark.parametrize(

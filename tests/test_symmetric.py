@@ -5,10 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 from tensordict import TensorDict
+from torch import nn
+from torch.autograd import grad
 
 from skatemount.losses.ppo import PPO, AlgorithmConfig
 from skatemount.models import ActorCritic, NetworkConfig
-from skatemount.symmetric import Mirror, SymmetricLinear, symmetric_mlp
+from skatemount.symmetric import Mirror, SymmetricLinear, SymmetricMLP
 
 SEEN = Mirror(torch.tensor([0, 2, 1, 3, 5, 4]), torch.tensor([1.0, -1, -1, 1, 1, 1]))
 HIDDEN = Mirror(torch.arange(3), torch.tensor([1.0, -1, 1]))
@@ -43,7 +45,7 @@ def asymmetry(networks: ActorCritic) -> tuple[float, float, float]:
     batch = TensorDict({"observation": torch.randn(50, 6) + 1, "privileged": torch.randn(50, 3) + 1}, [50])
     image = TensorDict({"observation": SEEN(batch["observation"]), "privileged": HIDDEN(batch["privileged"])}, [50])
     with torch.no_grad():
-        a, b = (networks.distribution(rows).base_dist for rows in (batch, image))
+        a, b = (networks.actor.get_dist(rows).base_dist for rows in (batch, image))
         v, w = (networks.critic(rows)["state_value"] for rows in (batch, image))
     deviations = a.scale[:, ACTS.permutation] - b.scale
     return float((ACTS(a.loc) - b.loc).abs().max()), float(deviations.abs().max()), float((v - w).abs().max())
@@ -70,7 +72,7 @@ def test_what_has_no_side_is_learnt_as_well() -> None:
     """Half of the reward asks for two mirrored actions to differ: it cannot be followed; the third action can."""
     after = trained(make())
     with torch.no_grad():
-        means = after.distribution(experience(after, 50).flatten(0, 1)).base_dist.loc.mean(0)
+        means = after.actor.get_dist(experience(after, 50).flatten(0, 1)).base_dist.loc.mean(0)
     assert float(means[2]) > 0.1 < float(means[3])
 
 
@@ -104,7 +106,24 @@ def test_layer_starts_as_wide_as_a_plain_one(after: Mirror) -> None:
     assert float(own / plain) == pytest.approx(1.0, rel=0.1)
 
 
-def test_layers_cost_no_extra_output() -> None:
-    mlp = symmetric_mlp(SEEN, ACTS, [8, 4], torch.nn.ELU)
-    assert mlp(torch.randn(2, 5, 6)).shape == (2, 5, 4)
-    assert [type(layer).__name__ for layer in mlp] == ["SymmetricLinear", "ELU"] * 2 + ["SymmetricLinear"]
+@pytest.mark.parametrize("after", [ACTS, Mirror.same(1)])
+def test_even_and_odd_parts_give_what_whole_layers_give(after: Mirror) -> None:
+    torch.manual_seed(0)
+    mlp = SymmetricMLP(SEEN, after, [8, 4], torch.nn.ELU)
+    x, y = torch.randn(2, 50, 6, requires_grad=True), torch.randn(2, 50, len(after.signs))
+    expected = nn.Sequential.forward(mlp, x)
+    torch.testing.assert_close(mlp(x), expected)
+    values = [x, *mlp.parameters()]
+    for got, due in zip(grad(mlp(x), values, y), grad(expected, values, y)):
+        torch.testing.assert_close(got, due)
+
+
+@pytest.mark.parametrize("mirror", [SEEN, HIDDEN, ACTS, Mirror.halves(6), Mirror.same(3)])
+def test_parts_of_a_vector_are_its_even_and_its_odd_part(mirror: Mirror) -> None:
+    torch.manual_seed(0)
+    x, w = torch.randn(2, 5, len(mirror.signs))
+    both, image = mirror.coordinates(x), mirror.coordinates(mirror(x))
+    assert torch.equal(image[:, : mirror.evens], both[:, : mirror.evens])
+    assert torch.equal(image[:, mirror.evens :], -both[:, mirror.evens :])
+    factors = torch.cat((mirror.project(w), mirror.project(w, odd=True)), 1)
+    torch.testing.assert_close((both * factors).sum(-1), (x * w).sum(-1))

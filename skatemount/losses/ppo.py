@@ -17,6 +17,9 @@ from torchrl.objectives.value import GAE
 from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic
 
+LEARNT_FROM = ("action", "action_log_prob", "advantage", "value_target", "state_value")
+"""What the loss needs of a batch, besides what the networks see."""
+
 
 @dataclass
 class AlgorithmConfig:
@@ -125,9 +128,10 @@ class PPO:
         self.networks = networks
         self._bf16 = bf16
         self._generator = generator
+        self._actor, self._critic = networks.learners()
         self.loss = ClipPPOLoss(
-            networks.actor,
-            networks.critic,
+            self._actor,
+            self._critic,
             clip_epsilon=config.clip,
             entropy_bonus=config.entropy_coeff > 0,
             entropy_coeff=config.entropy_coeff,
@@ -151,13 +155,6 @@ class PPO:
                 min_lr=config.min_learning_rate,
                 max_lr=config.max_learning_rate,
             )
-        self._keys = {*networks.actor_keys, *networks.critic_keys} | {
-            "action",
-            "action_log_prob",
-            "advantage",
-            "value_target",
-            "state_value",
-        }
 
     @property
     def learning_rate(self) -> float:
@@ -206,14 +203,15 @@ class PPO:
         """
         self._check_finite(batch)
         self.networks.observe(batch)
+        seen = self.networks.prepare(batch)
         with self._autocast():
-            self._fill_values(batch)
+            self._fill_values(batch, seen)
         self._gae(batch)
         advantage = batch["advantage"]
         batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        flat = batch.select(*self._keys).flatten(0, 1)
+        flat = seen.update(batch.select(*LEARNT_FROM)).flatten(0, 1)
         with torch.no_grad(), self._autocast():
-            loc, scale = _moments(self.networks.distribution(flat))
+            loc, scale = _moments(self._actor.get_dist(flat.select("actor_input")))
             # The scale is a view of the parameter that is about to change.
             scale = scale.clone()
 
@@ -268,20 +266,20 @@ class PPO:
     def _divergence(self, part: TensorDictBase, loc: Tensor, scale: Tensor) -> float:
         """KL of the policy before the iteration from the present one, the closed form for diagonal Gaussians."""
         with self._autocast():
-            new_loc, new_scale = _moments(self.networks.distribution(part))
+            new_loc, new_scale = _moments(self._actor.get_dist(part.select("actor_input")))
         ratio = scale / new_scale
         kl = -ratio.log() + 0.5 * (ratio.square() + ((loc - new_loc) / new_scale).square() - 1)
         return float(kl.sum(-1).mean())
 
     @torch.no_grad()
-    def _fill_values(self, batch: TensorDictBase) -> None:
+    def _fill_values(self, batch: TensorDictBase, seen: TensorDictBase) -> None:
         """Value of every state and of what follows it, each computed once.
 
         What follows a step is the next step's state, but at a time-out and at the end of the batch: there the critic
         looks at the true next state.
         """
         critic, keys = self.networks.critic, self.networks.critic_keys
-        value = critic(batch.select(*keys))["state_value"].float()
+        value = self._critic(seen.select("critic_input"))["state_value"].float()
         following = torch.empty_like(value)
         following[:, :-1] = value[:, 1:]
         look = batch["next", "done"] & ~batch["next", "terminated"]

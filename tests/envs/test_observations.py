@@ -266,7 +266,7 @@ def test_other_terms(context: TaskContext, make_state: MakeState, make_episode: 
         ground_height=0.03,
         board_fixed=False,
     )
-    episode = make_episode(sim, on_deck=[1, 0, 0, 1], mounted_time=3.0)
+    episode = make_episode(sim, on_deck=[1, 0, 0, 1], mounted_time=3.0, off_time=[0.0, 0.3, math.inf, 5.0])
     expected = {
         "board_velocity": [0, -1, 0, 2, 0, 0],
         "foot_forces": [0.05, 0, 0, 0, 0, 0, 0, 0.05],
@@ -274,6 +274,7 @@ def test_other_terms(context: TaskContext, make_state: MakeState, make_episode: 
         "truck_angle": [0.1, -0.2],
         "heights": [0.47, 0.058, 0],
         "on_deck": [1, 0, 0, 1],
+        "off_time": [0.0, 0.3, 1.0, 1.0],
         "mounted_time": [1.0],
         "base_lin_vel": [1, 2, 3],
         "feet_board": sim.foot_pos_board.flatten().tolist(),

@@ -138,7 +138,7 @@ def test_kl_is_of_the_policies_before_and_after_the_batch() -> None:
     ppo.networks.observe = lambda batch: None  # type: ignore[method-assign]
     kl = ppo.update(batch)["Loss/kl"]
     with torch.no_grad():
-        old, new = (n.distribution(batch.flatten(0, 1)).base_dist for n in (before, ppo.networks))
+        old, new = (n.actor.get_dist(batch.flatten(0, 1)).base_dist for n in (before, ppo.networks))
         expected = torch.distributions.kl_divergence(old, new).sum(-1).mean()
     assert kl == pytest.approx(float(expected), rel=1e-4)
     assert kl > 1e-4
@@ -150,7 +150,7 @@ def test_exploration_calms_down() -> None:
 
     def deviation() -> float:
         with torch.no_grad():
-            return float(ppo.networks.distribution(rows).base_dist.scale.mean())
+            return float(ppo.networks.actor.get_dist(rows).base_dist.scale.mean())
 
     config, first = ppo.networks.config, deviation()
     share = (first - config.min_std) / (config.max_std - config.min_std)

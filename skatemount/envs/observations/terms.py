@@ -174,6 +174,12 @@ def on_deck(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tenso
 
 
 @observation(4, "flags")
+def off_time(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
+    """Seconds since each foot last pressed on the deck, at most 1, ``[N, 4]``."""
+    return episode.off_time.clamp(max=1.0)
+
+
+@observation(4, "flags")
 def deck_touch(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Feet with any force at all against the deck, ``[N, 4]`` of 0 and 1 (the paper's flag: no threshold)."""
     return (sim.foot_deck_force != 0).any(-1).to(sim.base_pos.dtype)

@@ -1,0 +1,24 @@
+"""How the C library handles the memory of large arrays."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+"""Parameters of glibc's ``mallopt``, from its ``malloc.h``."""
+LARGEST = 32 * 2**20
+"""Largest array whose memory is kept, bytes: glibc's own upper bound for this threshold."""
+
+
+def keep_freed_memory() -> None:
+    """Let the C library keep the memory of freed arrays for the next ones, instead of giving it back to the system.
+
+    Learning makes and drops arrays of some megabytes all the time. Memory that comes from the system anew is cleared
+    page by page as it is first touched, which can take longer than what is computed in it. Elsewhere than in glibc,
+    nothing happens.
+    """
+    with contextlib.suppress(AttributeError, OSError):
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(_MMAP_THRESHOLD, LARGEST)
+        mallopt(_TRIM_THRESHOLD, 2**31 - 1)

@@ -1,0 +1,135 @@
+"""How a training takes over a policy: as it is, or grown into a larger network or one that sees more."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from skatemount.agent import MODULE, Agent, check_actions, check_contract, load_weights, observation_contract
+from skatemount.envs import MountTask
+from skatemount.errors import ConfigError
+from skatemount.models import ActorCritic, NetworkConfig, RunningNormalizer
+
+Parts = list[dict[str, Any]]
+"""What a policy sees, as `skatemount.agent.observation_contract` gives it."""
+
+
+def take_over(networks: ActorCritic, agent: Agent, task: MountTask, may_grow: bool, where: str) -> None:
+    """Put a policy into the networks of a training.
+
+    Args:
+        networks: Where to.
+        agent: The policy.
+        task: What is trained.
+        may_grow: The networks may be larger and see more than the policy; see `grow`.
+        where: What to call the policy in messages.
+
+    Raises:
+        ConfigError: It does not fit the networks or the task; the line says what is in the way.
+    """
+    for name in ("activation", "normalize", "symmetric"):
+        _check_same(name, networks.config, agent.config.network, where)
+    if may_grow:
+        check_actions(agent.card, task, where)
+        grow(networks, agent.networks, observation_contract(task), agent.card.observation, where)
+        return
+    check_contract(agent.card, task, where)
+    for name in ("actor", "critic"):
+        _check_same(name, networks.config, agent.config.network, where)
+    load_weights(networks, {MODULE: agent.networks.state_dict()}, where)
+
+
+def _check_same(name: str, config: NetworkConfig, old: NetworkConfig, where: str) -> None:
+    theirs, ours = getattr(old, name), getattr(config, name)
+    if theirs != ours:
+        raise ConfigError(
+            f"{where}: its network has {name}={theirs}, this run's {name}={ours}: choose the same network, "
+            "init_from=null, or grow=true for a larger one"
+        )
+
+
+def grow(networks: ActorCritic, old: ActorCritic, sees: Parts, saw: Parts, where: str) -> None:
+    """Put a policy into networks that are as large or larger, and see as much or more: they do what it did.
+
+    What is new in the observation, and what new hidden units say, has weight zero at first. After Chen, Goodfellow and
+    Shlens, "Net2Net: Accelerating Learning via Knowledge Transfer" (2016), with new units in place of copies.
+
+    Args:
+        networks: Where to; what is new keeps the weights that it has been made with.
+        old: The policy.
+        sees: What the networks see.
+        saw: What the policy saw.
+        where: What to call the policy in messages.
+
+    Raises:
+        ConfigError: The policy does not fit in; the line says what is in the way.
+    """
+    for name in ("actor", "critic"):
+        _check_fits(name, networks.config, old.config, where)
+    seen, hidden = (_columns(sees, saw, key, where) for key in ("observation", "privileged"))
+    size = sum(part["size"] for part in sees if part["key"] == "observation")
+    columns = (seen, torch.cat((seen, hidden + size)))
+    symmetric = networks.config.symmetric
+    with torch.no_grad():
+        for new_net, old_net, places in zip((networks.actor, networks.critic), (old.actor, old.critic), columns):
+            new_layers, old_layers = _layers(new_net), _layers(old_net)
+            rows = [_units(n.out_features, o.out_features, symmetric) for n, o in zip(new_layers, old_layers)]
+            # The outputs are no hidden units: they are in their own order.
+            rows[-1] = torch.arange(old_layers[-1].out_features)
+            for new, before, (inputs, outputs) in zip(new_layers, old_layers, pairwise([places, *rows])):
+                new.weight[outputs] = 0.0
+                new.weight[outputs.unsqueeze(1), inputs] = before.weight
+                new.bias[outputs] = before.bias
+    for normalizer, other, places in zip(networks.normalizers, old.normalizers, columns):
+        assert isinstance(normalizer, RunningNormalizer) and isinstance(other, RunningNormalizer)
+        normalizer.take_over(other, places)
+    networks.deviation.load_state_dict(old.deviation.state_dict())
+
+
+def _check_fits(name: str, config: NetworkConfig, old: NetworkConfig, where: str) -> None:
+    theirs, ours = list(getattr(old, name)), list(getattr(config, name))
+    if len(theirs) != len(ours) or any(n < o for n, o in zip(ours, theirs)):
+        raise ConfigError(
+            f"{where}: its network has {name}={theirs}, which does not fit into this run's {name}={ours}: give as many "
+            "layers, each as large or larger"
+        )
+
+
+def _layers(network: nn.Module) -> list[nn.Linear]:
+    return [module for module in network.modules() if isinstance(module, nn.Linear)]
+
+
+def _units(size: int, old: int, symmetric: bool) -> Tensor:
+    """Where the old hidden units are among the new ones; in a symmetric network the second half mirrors the first."""
+    units = torch.arange(old)
+    return torch.where(units < old // 2, units, units - old // 2 + size // 2) if symmetric else units
+
+
+def _columns(sees: Parts, saw: Parts, key: str, where: str) -> Tensor:
+    """Where the values that the policy saw are in the vector that the networks see."""
+    starts, at = {}, 0
+    for part in sees:
+        if part["key"] == key:
+            starts[part["name"]] = (at, part)
+            at += part["size"]
+    columns = []
+    for old in saw:
+        if old["key"] != key:
+            continue
+        at, new = starts.get(old["name"], (0, None))
+        if new is None:
+            raise ConfigError(f"{where}: it sees {key}.{old['name']}, which is not in this run's observation")
+        if _kind(new) != _kind(old) or new["size"] < old["size"]:
+            raise ConfigError(f"{where}: it sees {key}.{old['name']} as {old}, this run gives {new}")
+        # Of several frames the newest is the last.
+        columns.append(torch.arange(at + new["size"] - old["size"], at + new["size"]))
+    return torch.cat(columns)
+
+
+def _kind(part: dict[str, Any]) -> dict[str, Any]:
+    """What must be the same of a part: all but how many frames there are."""
+    frames = part.get("history_length", 1)
+    return {**part, "size": part["size"] // frames, "history_length": 0}
