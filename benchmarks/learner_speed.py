@@ -5,7 +5,9 @@
 
 One update is: advantages from stored rewards, then epochs x minibatches of PPO on an asymmetric actor and critic whose
 inputs are normalised. Ours also computes the values of all states in it, which rsl_rl does while it collects; so the
-comparison is in rsl_rl's favour. Both get the same batch, networks, number of threads and of updates.
+comparison is in rsl_rl's favour, and so it is where freed memory is kept, which rsl_rl does not do by itself. Both get
+the same batch, sizes of networks, number of threads and of updates. Ours are symmetric by default, which rsl_rl's
+networks cannot be; plain ones are measured besides.
 
 `precision` is of float32 matrix products; rsl_rl leaves torch's "highest", which is also what it is measured with
 besides.
@@ -26,24 +28,26 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict, TensorDictBase
 
 from skatemount.config import Config, compose
+from skatemount.envs import MountTask
+from skatemount.envs.mdp import Mdp
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.losses.ppo import PPO
-from skatemount.models import ActorCritic
+from skatemount.memory import keep_freed_memory
+from skatemount.training import make_networks
 
-OBSERVATION, PRIVILEGED, ACTIONS = 130, 60, 12
-"""About the default task's."""
+ACTIONS = 12
 
 
-def random_batch(config: Config, worlds: int, steps: int) -> TensorDict:
-    """A batch as TorchRL's collector yields it, of noise."""
+def random_batch(mdp: Mdp, worlds: int, steps: int) -> TensorDict:
+    """A batch of a task as TorchRL's collector yields it, of noise."""
 
     def flags(share: float) -> torch.Tensor:
         return torch.rand(worlds, steps, 1) < share
 
     terminated, truncated = flags(0.01), flags(0.005)
     states = {
-        "observation": torch.randn(worlds, steps, OBSERVATION),
-        "privileged": torch.randn(worlds, steps, PRIVILEGED),
+        "observation": torch.randn(worlds, steps, mdp.observation.size),
+        "privileged": torch.randn(worlds, steps, mdp.privileged.size),
     }
     following = {
         key: torch.cat((value[:, 1:], torch.randn(worlds, 1, value.shape[-1])), 1) for key, value in states.items()
@@ -57,9 +61,9 @@ def random_batch(config: Config, worlds: int, steps: int) -> TensorDict:
     return TensorDict(states | {"next": TensorDict(following, [worlds, steps])}, [worlds, steps])
 
 
-def ours(config: Config, batch: TensorDictBase) -> Callable[[], None]:
+def ours(config: Config, mdp: Mdp, batch: TensorDictBase) -> Callable[[], None]:
     """Our update; its batch as our policy would have acted."""
-    networks = ActorCritic(config.network, OBSERVATION, PRIVILEGED, ACTIONS)
+    networks = make_networks(config, mdp)
     ppo = PPO(config.algorithm, networks, 0.04, bf16=config.precision == "bf16")
     with torch.no_grad():
         batch = networks.actor(batch.clone())
@@ -116,17 +120,21 @@ def main() -> None:
     options = parser.parse_args()
     torch.manual_seed(0)
     torch.set_num_threads(available_cores())
-    settings = [f"network={options.network}", "network.symmetric=false", "network.normalize=true"]
-    config = compose(None, settings)
-    batch = random_batch(config, options.worlds, options.steps)
-    update, rsl_rl = ours(config, batch), theirs(config, batch)
+    keep_freed_memory()
+    settings = [f"network={options.network}", "network.normalize=true"]
+    config, plain = (compose(None, [*settings, f"network.symmetric={flag}"]) for flag in ("true", "false"))
+    mdp = MountTask(config=config).make_mdp(torch.Generator())
+    batch = random_batch(mdp, options.worlds, options.steps)
+    rsl_rl = theirs(config, batch)
     runs = {
-        "skatemount, medium": ("medium", update),
+        "skatemount, medium": ("medium", ours(config, mdp, batch)),
+        "skatemount, plain": ("medium", ours(plain, mdp, batch)),
+        "skatemount, compiled": ("medium", ours(compose(None, [*settings, "algorithm.compile=true"]), mdp, batch)),
         "rsl_rl, medium": ("medium", rsl_rl),
         "rsl_rl, highest": ("highest", rsl_rl),
     }
     if options.bf16:
-        runs["skatemount, bf16"] = ("medium", ours(compose(None, [*settings, "precision=bf16"]), batch))
+        runs["skatemount, bf16"] = ("medium", ours(compose(None, [*settings, "precision=bf16"]), mdp, batch))
     best = dict.fromkeys(runs, float("inf"))
     for round_ in range(options.rounds + 1):
         for name, (precision, run) in runs.items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -251,9 +252,16 @@ class ActorCritic(nn.Module):
         self.actor = _gaussian_actor(nn.Sequential(policy, deviation), "observation")
         self.critic = ValueOperator(Join(value), in_keys=list(self.critic_keys))
 
-    def learners(self) -> tuple[ProbabilisticActor, ValueOperator]:
-        """Actor and critic with the same layers, that read what `prepare` returns."""
-        means, values = (FromCoordinates(n) if isinstance(n, SymmetricMLP) else n for n in self._networks)
+    def learners(self, compiled: bool = False) -> tuple[ProbabilisticActor, ValueOperator]:
+        """Actor and critic with the same layers, that read what `prepare` returns.
+
+        Args:
+            compiled: By ``torch.compile``.
+        """
+        layers: list[Any] = [FromCoordinates(n) if isinstance(n, SymmetricMLP) else n for n in self._networks]
+        if compiled:
+            layers = [torch.compile(each) for each in layers]
+        means, values = layers
         actor = _gaussian_actor(nn.Sequential(means, self.deviation), "actor_input")
         return actor, ValueOperator(values, in_keys=["critic_input"])
 

@@ -23,6 +23,7 @@ from skatemount.curriculum.base import make_curriculum
 from skatemount.curriculum.harvest import Harvest
 from skatemount.devices import rng_state, seconds, set_rng_state
 from skatemount.envs import MountEnv, MountTask
+from skatemount.envs.mdp import Mdp
 from skatemount.envs.mirror import mirror_map
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.errors import ConfigError
@@ -84,6 +85,15 @@ def take_over_what_may_change(saved: Config, config: Config) -> None:
     saved.logger = config.logger
 
 
+def make_networks(config: Config, mdp: Mdp) -> ActorCritic:
+    """Untrained networks for what is seen and done in a task."""
+    seen, hidden = mdp.observation, mdp.privileged
+    mirrors = None
+    if config.network.symmetric:
+        mirrors = Mirror(*seen.mirror()), Mirror(*hidden.mirror()), Mirror(*mirror_map("joints", len(JOINTS)))
+    return ActorCritic(config.network, seen.size, hidden.size, len(JOINTS), mirrors)
+
+
 class Trainer:
     """One training run.
 
@@ -105,12 +115,8 @@ class Trainer:
         collector = config.collector
         self.env = MountEnv(self.task, seed=config.seed, random_phase=collector.random_phase, enough=collector.enough)
         mdp = self.env.mdp
-        seen, hidden = mdp.observation, mdp.privileged
-        mirrors = None
-        if config.network.symmetric:
-            mirrors = Mirror(*seen.mirror()), Mirror(*hidden.mirror()), Mirror(*mirror_map("joints", len(JOINTS)))
         device = self.env.physics.device
-        self.networks = ActorCritic(config.network, seen.size, hidden.size, len(JOINTS), mirrors).to(device)
+        self.networks = make_networks(config, mdp).to(device)
         self._order = torch.Generator(device).manual_seed(config.seed)
         self.ppo = PPO(
             config.algorithm,

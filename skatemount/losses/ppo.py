@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
+from torch._dynamo.exc import BackendCompilerFailed
 from torchrl.modules import IndependentNormal
 from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR
 from torchrl.objectives.value import GAE
@@ -19,6 +20,9 @@ from skatemount.models import ActorCritic
 
 LEARNT_FROM = ("action", "action_log_prob", "advantage", "value_target", "state_value")
 """What the loss needs of a batch, besides what the networks see."""
+
+KL_STATES = 4096
+"""States that the KL of an update is measured in; up to twice as many if the batch is no multiple of it."""
 
 
 @dataclass
@@ -46,6 +50,8 @@ class AlgorithmConfig:
         final_kl: What ``target_kl`` falls to over the last frames, by the same share in each; null leaves it. Small
             steps at the end settle a policy that large ones have kept moving about.
         settle: Share of all frames over which it does.
+        compile: Let torch compile the networks for the updates: they are faster, the first one takes a minute, and a
+            C++ compiler must be installed.
     """
 
     epochs: int = 5
@@ -65,6 +71,7 @@ class AlgorithmConfig:
     std_frames: int = 10_000_000
     final_kl: float | None = None
     settle: float = 0.2
+    compile: bool = False
 
     def validate(self, where: str = "algorithm") -> None:
         """Raise `ConfigError` for values that cannot be used."""
@@ -130,8 +137,7 @@ class PPO:
         self._generator = generator
         self._actor, self._critic = networks.learners()
         self.loss = ClipPPOLoss(
-            self._actor,
-            self._critic,
+            *networks.learners(config.compile),
             clip_epsilon=config.clip,
             entropy_bonus=config.entropy_coeff > 0,
             entropy_coeff=config.entropy_coeff,
@@ -210,8 +216,10 @@ class PPO:
         advantage = batch["advantage"]
         batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         flat = seen.update(batch.select(*LEARNT_FROM)).flatten(0, 1)
+        # What the whole batch would tell about the KL, some thousand states tell as well.
+        some = flat.select("actor_input")[:: max(1, len(flat) // KL_STATES)]
         with torch.no_grad(), self._autocast():
-            loc, scale = _moments(self._actor.get_dist(flat.select("actor_input")))
+            loc, scale = _moments(self._actor.get_dist(some))
             # The scale is a view of the parameter that is about to change.
             scale = scale.clone()
 
@@ -226,7 +234,7 @@ class PPO:
                 updates += 1
                 for name, value in losses.items():
                     sums[name] = sums.get(name, 0.0) + value
-        kl = self._divergence(flat, loc, scale)
+        kl = self._divergence(some, loc, scale)
         if self._schedule is not None:
             # Once a batch: near the old policy the first minibatches move little at any rate, and a rate that grows
             # meanwhile overshoots several times over before it is cut again.
@@ -251,8 +259,14 @@ class PPO:
                 raise FloatingPointError(f"{name} is not finite in {int((~finite).sum())} of {len(finite)} worlds")
 
     def _step(self, part: TensorDictBase) -> dict[str, Tensor]:
-        with self._autocast():
-            losses = self.loss(part)
+        try:
+            with self._autocast():
+                losses = self.loss(part)
+        except BackendCompilerFailed as error:
+            raise ConfigError(
+                f"algorithm.compile=true: torch cannot compile here ({str(error).splitlines()[0]}); install a C++ "
+                "compiler, or algorithm.compile=false"
+            ) from error
         total = sum(value for name, value in losses.items() if name.startswith("loss_"))
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
@@ -266,7 +280,7 @@ class PPO:
     def _divergence(self, part: TensorDictBase, loc: Tensor, scale: Tensor) -> float:
         """KL of the policy before the iteration from the present one, the closed form for diagonal Gaussians."""
         with self._autocast():
-            new_loc, new_scale = _moments(self._actor.get_dist(part.select("actor_input")))
+            new_loc, new_scale = _moments(self._actor.get_dist(part))
         ratio = scale / new_scale
         kl = -ratio.log() + 0.5 * (ratio.square() + ((loc - new_loc) / new_scale).square() - 1)
         return float(kl.sum(-1).mean())

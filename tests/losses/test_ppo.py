@@ -144,6 +144,40 @@ def test_kl_is_of_the_policies_before_and_after_the_batch() -> None:
     assert kl > 1e-4
 
 
+def test_kl_of_a_large_batch_is_that_of_some_of_its_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = {}
+    for most in (1_000_000, 100):
+        monkeypatch.setattr("skatemount.losses.ppo.KL_STATES", most)
+        ppo = make(learning_rate=3e-3, target_kl=None)
+        seen[most] = ppo.update(collect(ppo.networks, n=64, t=12))["Loss/kl"]
+    assert seen[100] != seen[1_000_000]
+    assert seen[100] == pytest.approx(seen[1_000_000], rel=0.3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_compiled_updates_are_the_same(symmetric: bool) -> None:
+    metrics, after = [], []
+    for compiled in (False, True):
+        ppo = make(make_networks(symmetric=symmetric), compile=compiled, learning_rate=1e-3, target_kl=None)
+        metrics.append([ppo.update(collect(ppo.networks, seed=i)) for i in range(2)][-1])
+        after.append(weights(ppo.networks))
+    assert metrics[1] == pytest.approx(metrics[0], rel=1e-3, abs=1e-5)
+    assert after[0].keys() == after[1].keys()
+    for key, value in after[0].items():
+        torch.testing.assert_close(after[1][key], value, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_without_a_compiler_the_setting_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    torch._dynamo.reset()
+    monkeypatch.setattr("torch._inductor.config.cpp.cxx", ("/nowhere/c++",))
+    monkeypatch.setattr("torch._inductor.config.fx_graph_cache", False)
+    ppo = make(compile=True)
+    with pytest.raises(ConfigError, match=r"^algorithm\.compile=true: torch cannot compile here .*compiler"):
+        ppo.update(collect(ppo.networks))
+
+
 def test_exploration_calms_down() -> None:
     ppo = make(final_std=0.1, std_frames=1000)
     rows = collect(ppo.networks).flatten(0, 1)
