@@ -16,12 +16,8 @@ class _SumAndDifference(torch.autograd.Function):
     """Torch would negate a gradient before it adds it: a pass more."""
 
     @staticmethod
-    def forward(one: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(ctx: Any, one: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
         return one + other, one - other
-
-    @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Tensor, Tensor], output: tuple[Tensor, Tensor]) -> None:
-        pass
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor]:
