@@ -70,7 +70,9 @@ class Mirror(nn.Module):
         self._other = self.permutation[self._one]
         self._sign = torch.cat((self.signs[even], -self.signs[odd])) * pair[self._one]
         self._share = torch.where(pair[self._one], 0.5, 1.0)
-        self._halved = torch.equal(self.permutation, index.roll(len(index) // 2)) and bool((self.signs == 1).all())
+        self._halved = bool(
+            pair.any() and (self.permutation == index.roll(len(index) // 2)).all() and (self.signs == 1).all()
+        )
 
     @classmethod
     def halves(cls, size: int) -> Mirror:

@@ -33,6 +33,7 @@ def take_over(networks: ActorCritic, agent: Agent, task: MountTask, may_grow: bo
     for name in ("activation", "normalize", "symmetric"):
         _check_same(name, networks.config, agent.config.network, where)
     if may_grow:
+        agent.to(networks.deviation.high.device)
         check_actions(agent.card, task, where)
         grow(networks, agent.networks, observation_contract(task), agent.card.observation, where)
         return

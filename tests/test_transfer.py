@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 from tensordict import TensorDict
+from tiny import SILENT, TINY
 from torch import Tensor
 
 from skatemount.agent import Agent, observation_contract
@@ -14,7 +15,6 @@ from skatemount.config import compose
 from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic
 from skatemount.training import Trainer
-from tests.tiny import SILENT, TINY
 
 SMALL = [*TINY, *SILENT, "init_from=null", "network.actor=[16,8]", "network.critic=[12,8]"]
 

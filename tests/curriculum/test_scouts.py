@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 import torch
 from tensordict import TensorDictBase
+from tiny import SILENT, TINY
 
 from skatemount.config import compose
 from skatemount.curriculum.scouts import ScoutingActor
 from skatemount.training import Trainer
-from tests.tiny import SILENT, TINY
 
 
 @pytest.fixture
