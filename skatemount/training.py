@@ -21,7 +21,6 @@ from skatemount.benchmark.results import Evaluation
 from skatemount.config import Config
 from skatemount.curriculum.base import make_curriculum
 from skatemount.curriculum.harvest import Harvest
-from skatemount.curriculum.scouts import ScoutingActor
 from skatemount.devices import rng_state, seconds, set_rng_state
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.mdp import Mdp
@@ -130,9 +129,8 @@ class Trainer:
         if self.curriculum is not None:
             self.env.listeners.append(self.curriculum.record)
             self.env.place_starts(self.curriculum.place)
-        self._scouts = round(config.curriculum.scouts * self.env.num_worlds)
         if config.curriculum.harvest:
-            Harvest(self.env, config.curriculum.harvest, scouts=self._scouts)
+            Harvest(self.env, config.curriculum.harvest)
         self.frames = self.iteration = 0
         self.elapsed = 0.0
         self._evaluator: Evaluator | None = None
@@ -240,7 +238,7 @@ class Trainer:
         batch_frames = self.env.num_worlds * self.config.collector.steps
         collector = Collector(
             self.env,
-            ScoutingActor(self.networks.actor, self._scouts) if self._scouts else self.networks.actor,
+            self.networks.actor,
             frames_per_batch=batch_frames,
             total_frames=-1,
             track_traj_ids=False,
@@ -252,7 +250,7 @@ class Trainer:
             mark = started
             for batch in collector:
                 collected = seconds(device)
-                metrics = self._learn(batch[self._scouts :])
+                metrics = self._learn(batch)
                 self.frames += batch_frames
                 self.iteration += 1
                 self.ppo.calm_down(self.frames, self.config.total_frames)

@@ -100,8 +100,6 @@ class CurriculumConfig:
         own_beyond: With them, bins farther out than this are left to them, m; none if null.
         harvest: Share of the starts in the stage's own ranges that are instead states of earlier episodes in which a
             robot was stuck: half-mounted more than two seconds after the first contact. With any kind but ``stages``.
-        scouts: Share of the worlds in which the policy does not explore and nothing is learnt: stuck robots are then
-            taken from these alone. Exploring gets a robot out of places where the mean action leaves it for good.
     """
 
     kind: str = "none"
@@ -122,7 +120,6 @@ class CurriculumConfig:
     own: float = 0.0
     own_beyond: float | None = None
     harvest: float = 0.0
-    scouts: float = 0.0
 
     def validate(self, where: str = "curriculum") -> None:
         """Raise `ConfigError` for settings that cannot be used."""
@@ -152,10 +149,6 @@ class CurriculumConfig:
             )
         if not 0 <= self.harvest < 1:
             raise ConfigError(f"{where}.harvest={self.harvest} must be a share, 0 or more and below 1")
-        if not 0 <= self.scouts < 1:
-            raise ConfigError(f"{where}.scouts={self.scouts} must be a share, 0 or more and below 1")
-        if self.scouts and not self.harvest:
-            raise ConfigError(f"{where}.scouts={self.scouts} needs {where}.harvest, the share of starts that they find")
         if self.harvest and self.kind == "stages":
             raise ConfigError(f"{where}.harvest={self.harvest} must be 0 in a chain of stages")
         if not self.memory > 0:

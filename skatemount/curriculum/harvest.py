@@ -77,12 +77,10 @@ class Harvest:
         env: The environment; it is listened to, and its starts are changed from the next draw on.
         share: Of the starts in the stage's own ranges.
         after: What is kept is older than this, seconds from the first foot-deck contact.
-        scouts: States are taken from this many worlds alone, the first ones; from all if 0.
     """
 
-    def __init__(self, env: MountEnv, share: float, after: float = STUCK_AFTER, scouts: int = 0):
+    def __init__(self, env: MountEnv, share: float, after: float = STUCK_AFTER):
         self._env, self._share, self._after = env, share, after
-        self._looked_at = torch.arange(env.num_worlds, device=env.device) < (scouts or env.num_worlds)
         self._kept: WorldStart | None = None
         env.listeners.append(self.record)
         env.change_starts(self.mix)
@@ -91,7 +89,7 @@ class Harvest:
         """Keep some of a step's states of stuck robots; a listener of `MountEnv`."""
         env = self._env
         trying = episode.step * env.mdp.context.control_step - episode.first_contact
-        rows = (half_mounted(env.sim, episode) & (trying > self._after) & ~done & self._looked_at).nonzero().flatten()
+        rows = (half_mounted(env.sim, episode) & (trying > self._after) & ~done).nonzero().flatten()
         if not len(rows):
             return
         rows = rows[torch.randperm(len(rows), generator=env.generator, device=rows.device)[:PER_STEP]]

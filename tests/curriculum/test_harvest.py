@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from skatemount.config import compose
-from skatemount.curriculum.harvest import PER_STEP, SIZE, Harvest, as_starts, half_mounted
+from skatemount.curriculum.harvest import SIZE, Harvest, as_starts, half_mounted
 from skatemount.envs import MountEnv
 from skatemount.envs.geometry import rotate, rotate_inverse
 from skatemount.envs.physics.base import WorldStart
@@ -106,19 +106,6 @@ def test_a_robot_on_its_way_is_not_kept(env: MountEnv) -> None:
     assert harvest._kept is not None
 
 
-def test_states_of_scouts_alone_are_kept(env: MountEnv) -> None:
-    alone, all_ = Harvest(env, 0.5, after=0.0, scouts=10), Harvest(env, 0.5, after=0.0)
-    fidget(env, steps=2)  # in the first, none has been at it for any time
-    stuck = half_mounted(env.sim, env.episode)
-    assert alone._kept is not None and all_._kept is not None
-    # Fewer than are taken from one step at most.
-    assert 0 < int(stuck[:10].sum()) == len(alone._kept) < PER_STEP <= int(stuck.sum())
-    poses = env.sim.joint_pos[:10][stuck[:10]]
-    distance = (alone._kept.joint_pos.unsqueeze(1) - poses).abs().amax(2).amin(1)
-    assert float(distance.max()) == 0.0
-    assert len(all_._kept) == PER_STEP
-
-
 def test_the_environment_starts_from_them(env: MountEnv) -> None:
     Harvest(env, 0.9, after=0.0)
     fidget(env)
@@ -141,18 +128,6 @@ def test_old_states_make_room(env: MountEnv) -> None:
 def test_share_out_of_range(share: float) -> None:
     with pytest.raises(ConfigError, match=r"curriculum\.harvest=.* below 1"):
         compose("mount", [f"curriculum.harvest={share}"])
-
-
-@pytest.mark.parametrize(
-    ("settings", "expected"),
-    [
-        (["curriculum.harvest=0.2", "curriculum.scouts=1.0"], r"curriculum\.scouts=1\.0 must be a share"),
-        (["curriculum.scouts=0.1"], r"curriculum\.scouts=0\.1 needs curriculum\.harvest"),
-    ],
-)
-def test_scouts_that_are_of_no_use(settings: list[str], expected: str) -> None:
-    with pytest.raises(ConfigError, match=expected):
-        compose("mount", settings)
 
 
 def test_not_in_a_chain() -> None:
