@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 
 class _Elu(torch.autograd.Function):
-    """max(x, exp(min(x, 0)) - 1), in three passes and one array."""
+    """max(x, exp(min(x, 0)) - 1), in one array."""
 
     # With setup_context in a function of its own, torch would look at the signature anew in every call.
     @staticmethod

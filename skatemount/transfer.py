@@ -31,7 +31,7 @@ def take_over(networks: ActorCritic, agent: Agent, task: MountTask, may_grow: bo
         ConfigError: It does not fit the networks or the task; the line says what is in the way.
     """
     for name in ("activation", "normalize", "symmetric"):
-        _check_same(name, networks.config, agent.config.network, where)
+        _check_same(name, networks.config, agent.config.network, where, "")
     if may_grow:
         agent.to(networks.deviation.high.device)
         check_actions(agent.card, task, where)
@@ -39,16 +39,16 @@ def take_over(networks: ActorCritic, agent: Agent, task: MountTask, may_grow: bo
         return
     check_contract(agent.card, task, where)
     for name in ("actor", "critic"):
-        _check_same(name, networks.config, agent.config.network, where)
+        _check_same(name, networks.config, agent.config.network, where, ", or grow=true for a larger one")
     load_weights(networks, {MODULE: agent.networks.state_dict()}, where)
 
 
-def _check_same(name: str, config: NetworkConfig, old: NetworkConfig, where: str) -> None:
+def _check_same(name: str, config: NetworkConfig, old: NetworkConfig, where: str, otherwise: str) -> None:
     theirs, ours = getattr(old, name), getattr(config, name)
     if theirs != ours:
         raise ConfigError(
             f"{where}: its network has {name}={theirs}, this run's {name}={ours}: choose the same network, "
-            "init_from=null, or grow=true for a larger one"
+            f"or init_from=null{otherwise}"
         )
 
 
