@@ -47,11 +47,12 @@ def bench(config: Config, overrides: list[str]) -> None:
 
 def main() -> None:
     """Run the program."""
-    from skatemount import opengl
+    from skatemount import memory, opengl
 
     opengl.disable()
     # Only now: importing the configuration imports dm_control, which looks for a display otherwise.
-    from skatemount import cli
+    with memory.lasting_objects():
+        from skatemount import cli
 
     cli.run(bench, "bench")
 

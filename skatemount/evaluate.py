@@ -85,11 +85,12 @@ def _write(document: dict[str, Any], path: Path) -> None:
 
 def main() -> None:
     """Run the program."""
-    from skatemount import opengl
+    from skatemount import memory, opengl
 
     opengl.disable()
     # Only now: importing the configuration imports dm_control, which looks for a display otherwise.
-    from skatemount import cli
+    with memory.lasting_objects():
+        from skatemount import cli
 
     cli.run(evaluate, "evaluate")
 

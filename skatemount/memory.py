@@ -1,9 +1,11 @@
-"""How the C library handles the memory of large arrays."""
+"""How the C library handles the memory of large arrays, and Python that of many objects."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
+from collections.abc import Iterator
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """Parameters of glibc's ``mallopt``, from its ``malloc.h``."""
@@ -22,3 +24,20 @@ def keep_freed_memory() -> None:
         mallopt = ctypes.CDLL(None).mallopt
         mallopt(_MMAP_THRESHOLD, LARGEST)
         mallopt(_TRIM_THRESHOLD, 2**31 - 1)
+
+
+@contextlib.contextmanager
+def lasting_objects() -> Iterator[None]:
+    """What is made in this block stays until the program ends, as imported modules do: no garbage is looked for in it.
+
+    Importing torch and TorchRL makes so many objects that looking through them again and again takes an eighth of the
+    time. Afterwards the garbage collector, if it was on, is on again and leaves them out.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        if enabled:
+            gc.enable()

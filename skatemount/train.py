@@ -45,11 +45,12 @@ def train(config: Config, overrides: list[str]) -> None:
 
 def main() -> None:
     """Run the program."""
-    from skatemount import opengl
+    from skatemount import memory, opengl
 
     opengl.disable()
     # Only now: importing the configuration imports dm_control, which looks for a display otherwise.
-    from skatemount import cli
+    with memory.lasting_objects():
+        from skatemount import cli
 
     cli.run(train, "train")
 

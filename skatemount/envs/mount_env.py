@@ -130,11 +130,12 @@ class MountEnv(EnvBase):
         if tensordict is not None and "_reset" in tensordict.keys():
             mask = tensordict["_reset"].reshape(self.num_worlds)
         rows, sim, begun = self._restart(mask)
-        result = self.observation_spec.zero()
         # Nobody looks at the rows of worlds that go on, so only those that start anew are worked out.
-        for key, values in zip(("observation", "privileged"), self.mdp.observe(sim, begun)):
-            result[key][rows] = values
-        return result
+        observation, privileged = (
+            v.new_zeros(self.num_worlds, v.shape[1]).index_copy_(0, rows, v) for v in self.mdp.observe(sim, begun)
+        )
+        values = {"observation": observation, "privileged": privileged, "success": torch.zeros_like(mask).unsqueeze(1)}
+        return TensorDict(values, batch_size=self.batch_size)
 
     def _restart(self, mask: Tensor) -> tuple[Tensor, SimState, EpisodeState]:
         """Start new episodes in the worlds of a mask; their rows, states and episodes."""

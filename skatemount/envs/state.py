@@ -16,7 +16,7 @@ from skatemount.envs.geometry import quat_to_matrix, rotate_inverse
 from skatemount.envs.scene import SceneIndex
 
 
-@tensorclass
+@tensorclass(tensor_only=True)
 class SimState:
     """The physical state of N worlds after a control step, float32.
 
@@ -111,8 +111,8 @@ class StateReader:
             name: sensordata[:, where].unflatten(1, shape) if len(shape) > 1 else sensordata[:, where]
             for name, (where, shape) in self._sensors.items()
         }
-        base_rot = quat_to_matrix(parts.pop("base_quat"))
-        board_rot = quat_to_matrix(parts.pop("board_quat"))
+        quats = torch.stack((parts.pop("base_quat"), parts.pop("board_quat")))
+        base_rot, board_rot = quat_to_matrix(quats).unbind()
         base_pos, board_pos, foot_deck = parts["base_pos"], parts["board_pos"], parts["foot_deck_force"]
         contact = torch.linalg.vector_norm(parts.pop("body_force"), dim=-1)
         body_force = contact
@@ -135,7 +135,7 @@ class StateReader:
         )
 
 
-@tensorclass
+@tensorclass(tensor_only=True)
 class EpisodeState:
     """What a physical state cannot tell: the history of each world's episode.
 

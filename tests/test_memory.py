@@ -1,0 +1,66 @@
+import gc
+import platform
+import subprocess
+import sys
+
+import pytest
+
+from skatemount.memory import lasting_objects
+
+PAGE_FAULTS = """
+import resource, torch
+from skatemount.memory import keep_freed_memory
+
+def fresh_array():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    torch.ones(4_000_000)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+fresh_array()
+without = fresh_array()
+keep_freed_memory()
+for _ in range(5):
+    fresh_array()
+print(without, fresh_array())
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc is told")
+def test_memory_of_a_freed_array_is_the_next_ones_without_being_cleared_again():
+    result = subprocess.run([sys.executable, "-c", PAGE_FAULTS], capture_output=True, text=True, check=True)
+    without, kept = map(int, result.stdout.split())
+    # Huge pages, where a system gives them out, make fewer faults, yet still some.
+    assert without > 0
+    assert kept == 0
+
+
+def test_what_is_made_to_last_is_not_looked_through_for_garbage():
+    try:
+        with lasting_objects():
+            assert not gc.isenabled()
+            made = [[]]
+        assert gc.isenabled()
+        assert not any(thing is made for thing in gc.get_objects())
+    finally:
+        gc.unfreeze()
+    assert any(thing is made for thing in gc.get_objects())
+
+
+def test_the_garbage_collector_is_on_again_after_an_import_that_fails():
+    try:
+        with pytest.raises(ImportError), lasting_objects():
+            raise ImportError("no such module")
+        assert gc.isenabled()
+    finally:
+        gc.unfreeze()
+
+
+def test_a_garbage_collector_that_was_off_stays_off():
+    gc.disable()
+    try:
+        with lasting_objects():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+        gc.unfreeze()
