@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from skatemount.agent import MODULE, Agent, check_actions, check_contract, load_weights, observation_contract
+from skatemount.checkpoint import Card
 from skatemount.envs import MountTask
 from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic, NetworkConfig, RunningNormalizer
@@ -37,10 +38,26 @@ def take_over(networks: ActorCritic, agent: Agent, task: MountTask, may_grow: bo
         check_actions(agent.card, task, where)
         grow(networks, agent.networks, observation_contract(task), agent.card.observation, where)
         return
-    check_contract(agent.card, task, where)
+    try:
+        check_contract(agent.card, task, where)
+    except ConfigError as error:
+        if not _sees_all_of_it(agent.card, task, where):
+            raise
+        raise ConfigError(f"{error}; grow=true takes it over into a run that sees more") from error
     for name in ("actor", "critic"):
         _check_same(name, networks.config, agent.config.network, where, ", or grow=true for a larger one")
     load_weights(networks, {MODULE: agent.networks.state_dict()}, where)
+
+
+def _sees_all_of_it(card: Card, task: MountTask, where: str) -> bool:
+    """Whether a task shows all that a policy saw, and its actions mean the same."""
+    try:
+        check_actions(card, task, where)
+        for key in ("observation", "privileged"):
+            _columns(observation_contract(task), card.observation, key, where)
+    except ConfigError:
+        return False
+    return True
 
 
 def _check_same(name: str, config: NetworkConfig, old: NetworkConfig, where: str, otherwise: str) -> None:

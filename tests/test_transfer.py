@@ -108,5 +108,11 @@ def test_what_does_not_fit_in_is_one_line(
 
 def test_grows_only_when_asked(small: Agent, tmp_path: Path) -> None:
     for change in ("network.actor=[20,8]", "+observation.policy.off_time={}"):
-        with pytest.raises(ConfigError, match="init_from="):
+        with pytest.raises(ConfigError, match="init_from=.*grow=true"):
             grown(small, tmp_path, "grow=false", change)
+
+
+def test_growing_is_not_offered_where_it_would_not_help(small: Agent, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as error:
+        grown(small, tmp_path, "grow=false", "observation=compact")
+    assert "grow" not in str(error.value)
