@@ -194,12 +194,21 @@ class Trainer:
 
         Returns:
             The evaluation of the final policy, if the settings ask for one.
+
+        Raises:
+            ConfigError: Nothing is left to train, or another process is training in the same run folder.
         """
-        config, logger = self.config, self.config.logger
-        if self.frames >= config.total_frames:
+        if self.frames >= self.config.total_frames:
             raise ConfigError(
-                f"total_frames={config.total_frames} are already trained ({self.frames}): give more to go on"
+                f"total_frames={self.config.total_frames} are already trained ({self.frames}): give more to go on"
             )
+        with self.run.claimed():
+            self._train()
+        episodes = self.config.logger.final_episodes
+        return self._evaluate(episodes) if episodes else None
+
+    def _train(self) -> None:
+        config, logger = self.config, self.config.logger
         log = MetricsLog(
             self.run, tensorboard=logger.tensorboard, csv=logger.csv, resume_at=self.frames if self.frames else None
         )
@@ -224,7 +233,6 @@ class Trainer:
             except KeyboardInterrupt:
                 self.save({})
                 raise
-        return self._evaluate(logger.final_episodes) if logger.final_episodes else None
 
     def iterations(self) -> Generator[dict[str, float]]:
         """Collect and learn, over and over, without an end.

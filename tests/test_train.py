@@ -153,6 +153,17 @@ def test_resume_takes_the_checkpoint_that_is_named(tmp_path: Path) -> None:
         assert trainer.frames == frames
 
 
+def test_resume_refuses_a_run_that_is_still_being_trained(tmp_path: Path) -> None:
+    begun = run(tmp_path, "logger.tensorboard=false", frames=3 * BATCH)
+    before = begun.metrics_csv.read_bytes()
+    given = [f"resume={begun.path}", f"total_frames={5 * BATCH}", f"logger.root={tmp_path}"]
+    with begun.claimed():
+        refused = message(lambda: train(compose(None, given), given))
+    assert str(begun.path) in refused and "another process" in refused
+    assert begun.metrics_csv.read_bytes() == before
+    assert len(list(begun.checkpoints.iterdir())) == 1
+
+
 def message(function: Callable[[], Any]) -> str:
     with pytest.raises(ConfigError) as error:
         function()

@@ -181,14 +181,14 @@ class Chain:
         """Train what is left of the chain.
 
         Raises:
-            ConfigError: Nothing is left.
+            ConfigError: Nothing is left, or another process is training the chain.
         """
         left = [place for place in range(len(self.parts)) if self.ended(place) is None]
         if not left:
             raise ConfigError(
                 f"total_frames={self.config.total_frames}: all stages of {self.run.path} have ended: give more to go on"
             )
-        with termination_as_interrupt():
+        with self.run.claimed(), termination_as_interrupt():
             try:
                 for place in left:
                     self._train(place)
