@@ -53,7 +53,7 @@ def test_it_keeps_torchrls_contract(make_env, stage: str, worlds: int) -> None:
 
 
 def test_every_layout_of_the_observation_fits_its_spec(make_env) -> None:
-    for layout, size in (("default", 130), ("paper", 137), ("compact", None)):
+    for layout, size in (("default", 130), ("history", 213), ("paper", 137), ("compact", None)):
         env = make_env("mount", 2, [f"observation={layout}"])
         observation = env.reset()["observation"]
         assert observation.shape == (2, size or observation.shape[1])
