@@ -16,12 +16,10 @@ import itertools
 import math
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import yaml
-from filelock import FileLock, Timeout
 
 from skatemount import atomic
 from skatemount.checkpoint import is_checkpoint, list_checkpoints, step_folder
@@ -191,28 +189,6 @@ class RunFolder:
         """The checkpoint with the highest score, if any had one."""
         marked = _follow(self.path / "best")
         return marked if marked is not None and is_checkpoint(marked) else None
-
-    @contextmanager
-    def claimed(self) -> Iterator[None]:
-        """Keeps every other process from training in this run until the block ends, or the process does.
-
-        Two that wrote checkpoints and metrics in turn would spoil both.
-
-        Raises:
-            ConfigError: Another process is at it.
-        """
-        lock = FileLock(self.path / ".lock", blocking=False)
-        try:
-            lock.acquire()
-        except Timeout:
-            raise ConfigError(
-                f"{self.path}: is being trained by another process; stop that one first, or start from its policy "
-                f"with init_from={self.path}"
-            ) from None
-        try:
-            yield
-        finally:
-            lock.release()
 
     def checkpoint(self, frames: int) -> Path:
         """Returns where the checkpoint after `frames` environment steps belongs."""

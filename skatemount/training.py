@@ -18,6 +18,7 @@ from skatemount import config as configuration
 from skatemount.agent import JOINTS, MODULE, Agent, make_card
 from skatemount.benchmark.evaluation import EVALUATION_SEED, NUM_WORLDS, Evaluator
 from skatemount.benchmark.results import Evaluation
+from skatemount.claim import claimed
 from skatemount.config import Config
 from skatemount.curriculum.base import make_curriculum
 from skatemount.curriculum.harvest import Harvest
@@ -202,7 +203,7 @@ class Trainer:
             raise ConfigError(
                 f"total_frames={self.config.total_frames} are already trained ({self.frames}): give more to go on"
             )
-        with self.run.claimed():
+        with claimed(self.run.path):
             self._train()
         episodes = self.config.logger.final_episodes
         return self._evaluate(episodes) if episodes else None

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -221,30 +220,3 @@ def test_a_run_leads_to_its_newest_part(runs_root: Path) -> None:
     with pytest.raises(ConfigError) as error:
         whole.create_part("1_gait", {}, [])
     assert "1_gait: exists already" in one_line(error)
-
-
-CLAIM = """
-import sys
-from skatemount.runs import RunFolder
-
-with RunFolder.open(sys.argv[1]).claimed():
-    print("claimed", flush=True)
-    sys.stdin.read()
-"""
-
-
-def test_a_run_is_trained_by_one_process_at_a_time(runs_root: Path) -> None:
-    run = make_run(runs_root)
-    with subprocess.Popen(
-        [sys.executable, "-c", CLAIM, str(run.path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as other:
-        assert other.stdout is not None and other.stdout.readline() == "claimed\n"
-        with pytest.raises(ConfigError) as error, run.claimed():
-            pass
-        assert str(run.path) in one_line(error) and "another process" in one_line(error)
-        # Even a process that is killed leaves nothing behind that would keep others out.
-        other.kill()
-    with run.claimed():
-        pass
-    with run.claimed():
-        pass

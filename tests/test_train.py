@@ -17,6 +17,7 @@ from tiny import BATCH, SILENT, TINY
 
 from skatemount.agent import Agent
 from skatemount.checkpoint import list_checkpoints, load_training_state
+from skatemount.claim import claimed
 from skatemount.config import compose, from_dict
 from skatemount.errors import ConfigError
 from skatemount.losses.ppo import PPO
@@ -157,7 +158,7 @@ def test_resume_refuses_a_run_that_is_still_being_trained(tmp_path: Path) -> Non
     begun = run(tmp_path, "logger.tensorboard=false", frames=3 * BATCH)
     before = begun.metrics_csv.read_bytes()
     given = [f"resume={begun.path}", f"total_frames={5 * BATCH}", f"logger.root={tmp_path}"]
-    with begun.claimed():
+    with claimed(begun.path):
         refused = message(lambda: train(compose(None, given), given))
     assert str(begun.path) in refused and "another process" in refused
     assert begun.metrics_csv.read_bytes() == before

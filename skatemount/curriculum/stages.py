@@ -18,6 +18,7 @@ import yaml
 from skatemount import atomic
 from skatemount import config as configuration
 from skatemount.checkpoint import load_training_state, read_card
+from skatemount.claim import claimed
 from skatemount.config import Config
 from skatemount.curriculum.base import StageLink
 from skatemount.errors import ConfigError
@@ -188,7 +189,7 @@ class Chain:
             raise ConfigError(
                 f"total_frames={self.config.total_frames}: all stages of {self.run.path} have ended: give more to go on"
             )
-        with self.run.claimed(), termination_as_interrupt():
+        with claimed(self.run.path), termination_as_interrupt():
             try:
                 for place in left:
                     self._train(place)
