@@ -1,4 +1,4 @@
-"""`Agent`: a policy with the configuration it was trained in, and the contract it keeps with its task."""
+"""`Agent`: a policy with the configuration it was trained in, and its card."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch import Tensor
 from skatemount import config as configuration
 from skatemount.checkpoint import Card, load_policy
 from skatemount.config import Config
-from skatemount.envs.scene import LEGS
+from skatemount.contract import action_contract, observation_contract
 from skatemount.envs.task import MountTask
 from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 MODULE = "networks"
 """Name of the `ActorCritic` among the modules of a policy file: ``save_policy(path, {MODULE: ...})``."""
-
-JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "calf"))
 
 
 @dataclass
@@ -126,54 +124,6 @@ def load_weights(networks: ActorCritic, modules: Mapping[str, Mapping[str, Tenso
     networks.load_state_dict(saved)
 
 
-def observation_contract(task: MountTask) -> list[dict[str, Any]]:
-    """What a policy for a task sees.
-
-    Args:
-        task: The task.
-
-    Returns:
-        For each part in order: the ``key`` of the vector it is in (``observation``, or
-        ``privileged`` for what only the critic sees), its name, size and scale, and clip and
-        parameters where it has any.
-    """
-    mdp, settings = task.make_mdp(torch.Generator()), task.config.observation
-    parts = []
-    for key, table, terms in (
-        ("observation", mdp.observation, settings.policy),
-        ("privileged", mdp.privileged, settings.privileged),
-    ):
-        for entry in table.layout():
-            term = terms[entry["name"]]
-            part = {"key": key, **entry}
-            if term.clip is not None:
-                part["clip"] = float(term.clip)
-            if term.params:
-                part["params"] = dict(term.params)
-            parts.append(part)
-    return parts
-
-
-def action_contract(task: MountTask) -> dict[str, Any]:
-    """What the actions of a policy for a task mean.
-
-    Args:
-        task: The task.
-
-    Returns:
-        ``joints`` in order; the target of each is ``default_pose + scale * action`` in rad with
-        the action limited to ``clip``; ``control_step`` is the time between two actions, s.
-    """
-    robot = task.scene.robot
-    return {
-        "joints": list(JOINTS),
-        "default_pose": [round(float(x), 6) for x in robot.default_pose],
-        "scale": [round(float(x), 6) for x in robot.action_scale],
-        "clip": float(robot.config.action_clip),
-        "control_step": round(task.scene.solver.control_step, 6),
-    }
-
-
 def make_card(config: Config, task: MountTask, frames: int, metrics: dict[str, Any] | None = None) -> Card:
     """The card of a policy.
 
@@ -192,38 +142,3 @@ def make_card(config: Config, task: MountTask, frames: int, metrics: dict[str, A
         metrics=dict(metrics or {}),
         versions=package_versions(),
     )
-
-
-def check_contract(card: Card, task: MountTask, where: str = "checkpoint") -> None:
-    """Make sure that a policy sees in a task what it was trained to see, and that its actions mean the same.
-
-    Args:
-        card: The policy's card.
-        task: The task.
-        where: What to call the policy in messages.
-
-    Raises:
-        ConfigError: They differ; the line says in what.
-    """
-    theirs, ours = card.observation, observation_contract(task)
-    for i in range(max(len(theirs), len(ours))):
-        a = theirs[i] if i < len(theirs) else None
-        b = ours[i] if i < len(ours) else None
-        if a != b:
-            raise ConfigError(f"{where}: part {i + 1} of its observation is {_part(a)}, the task gives {_part(b)}")
-    check_actions(card, task, where)
-
-
-def check_actions(card: Card, task: MountTask, where: str) -> None:
-    """Make sure that a policy's actions mean in a task what they meant in training; see `check_contract`."""
-    action = action_contract(task)
-    for name, value in action.items():
-        if card.action.get(name) != value:
-            raise ConfigError(f"{where}: its actions have {name}={card.action.get(name)}, the task's {value}")
-
-
-def _part(part: dict[str, Any] | None) -> str:
-    if part is None:
-        return "nothing"
-    extras = [f"{k}={v}" for k, v in part.items() if k not in ("key", "name")]
-    return f"{part.get('key')}.{part.get('name')} ({', '.join(extras)})"

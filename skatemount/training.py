@@ -15,11 +15,12 @@ from torchrl.collectors import Collector
 
 from skatemount import checkpoint
 from skatemount import config as configuration
-from skatemount.agent import JOINTS, MODULE, Agent, make_card
+from skatemount.agent import MODULE, Agent, make_card
 from skatemount.benchmark.evaluation import EVALUATION_SEED, NUM_WORLDS, Evaluator
 from skatemount.benchmark.results import Evaluation
 from skatemount.claim import claimed
 from skatemount.config import Config
+from skatemount.contract import JOINTS
 from skatemount.curriculum.base import make_curriculum
 from skatemount.curriculum.harvest import Harvest
 from skatemount.devices import rng_state, seconds, set_rng_state

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from skatemount.agent import MODULE, Agent, check_actions, check_contract, load_weights, observation_contract
+from skatemount.agent import MODULE, Agent, load_weights
 from skatemount.checkpoint import Card
+from skatemount.contract import Parts, check_actions, check_contract, columns, observation_contract
 from skatemount.envs import MountTask
 from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic, NetworkConfig, RunningNormalizer
-
-Parts = list[dict[str, Any]]
-"""What a policy sees, as `skatemount.agent.observation_contract` gives it."""
 
 
 def take_over(networks: ActorCritic, agent: Agent, task: MountTask, may_grow: bool, where: str) -> None:
@@ -36,7 +33,7 @@ def take_over(networks: ActorCritic, agent: Agent, task: MountTask, may_grow: bo
     if may_grow:
         agent.to(networks.deviation.high.device)
         check_actions(agent.card, task, where)
-        grow(networks, agent.networks, observation_contract(task), agent.card.observation, where)
+        grow(networks, agent, observation_contract(task), where)
         return
     try:
         check_contract(agent.card, task, where)
@@ -54,7 +51,7 @@ def _sees_all_of_it(card: Card, task: MountTask, where: str) -> bool:
     try:
         check_actions(card, task, where)
         for key in ("observation", "privileged"):
-            _columns(observation_contract(task), card.observation, key, where)
+            columns(observation_contract(task), card, key, where, "this run")
     except ConfigError:
         return False
     return True
@@ -69,7 +66,7 @@ def _check_same(name: str, config: NetworkConfig, old: NetworkConfig, where: str
         )
 
 
-def grow(networks: ActorCritic, old: ActorCritic, sees: Parts, saw: Parts, where: str) -> None:
+def grow(networks: ActorCritic, agent: Agent, sees: Parts, where: str) -> None:
     """Put a policy into networks that are as large or larger, and see as much or more: they do what it did.
 
     What is new in the observation, and what new hidden units say, has weight zero at first. After Chen, Goodfellow and
@@ -77,31 +74,31 @@ def grow(networks: ActorCritic, old: ActorCritic, sees: Parts, saw: Parts, where
 
     Args:
         networks: Where to; what is new keeps the weights that it has been made with.
-        old: The policy.
+        agent: The policy.
         sees: What the networks see.
-        saw: What the policy saw.
         where: What to call the policy in messages.
 
     Raises:
         ConfigError: The policy does not fit in; the line says what is in the way.
     """
+    old = agent.networks
     for name in ("actor", "critic"):
         _check_fits(name, networks.config, old.config, where)
-    seen, hidden = (_columns(sees, saw, key, where) for key in ("observation", "privileged"))
+    seen, hidden = (columns(sees, agent.card, key, where, "this run") for key in ("observation", "privileged"))
     size = sum(part["size"] for part in sees if part["key"] == "observation")
-    columns = (seen, torch.cat((seen, hidden + size)))
+    inputs = (seen, torch.cat((seen, hidden + size)))
     symmetric = networks.config.symmetric
     with torch.no_grad():
-        for new_net, old_net, places in zip((networks.actor, networks.critic), (old.actor, old.critic), columns):
+        for new_net, old_net, places in zip((networks.actor, networks.critic), (old.actor, old.critic), inputs):
             new_layers, old_layers = _layers(new_net), _layers(old_net)
             rows = [_units(n.out_features, o.out_features, symmetric) for n, o in zip(new_layers, old_layers)]
             # The outputs are no hidden units: they are in their own order.
             rows[-1] = torch.arange(old_layers[-1].out_features)
-            for new, before, (inputs, outputs) in zip(new_layers, old_layers, pairwise([places, *rows])):
-                new.weight[outputs] = 0.0
-                new.weight[outputs.unsqueeze(1), inputs] = before.weight
-                new.bias[outputs] = before.bias
-    for normalizer, other, places in zip(networks.normalizers, old.normalizers, columns):
+            for new, before, (entering, leaving) in zip(new_layers, old_layers, pairwise([places, *rows])):
+                new.weight[leaving] = 0.0
+                new.weight[leaving.unsqueeze(1), entering] = before.weight
+                new.bias[leaving] = before.bias
+    for normalizer, other, places in zip(networks.normalizers, old.normalizers, inputs):
         assert isinstance(normalizer, RunningNormalizer) and isinstance(other, RunningNormalizer)
         normalizer.take_over(other, places)
     networks.deviation.load_state_dict(old.deviation.state_dict())
@@ -124,30 +121,3 @@ def _units(size: int, old: int, symmetric: bool) -> Tensor:
     """Where the old hidden units are among the new ones; in a symmetric network the second half mirrors the first."""
     units = torch.arange(old)
     return torch.where(units < old // 2, units, units - old // 2 + size // 2) if symmetric else units
-
-
-def _columns(sees: Parts, saw: Parts, key: str, where: str) -> Tensor:
-    """Where the values that the policy saw are in the vector that the networks see."""
-    starts, at = {}, 0
-    for part in sees:
-        if part["key"] == key:
-            starts[part["name"]] = (at, part)
-            at += part["size"]
-    columns = []
-    for old in saw:
-        if old["key"] != key:
-            continue
-        at, new = starts.get(old["name"], (0, None))
-        if new is None:
-            raise ConfigError(f"{where}: it sees {key}.{old['name']}, which is not in this run's observation")
-        if _kind(new) != _kind(old) or new["size"] < old["size"]:
-            raise ConfigError(f"{where}: it sees {key}.{old['name']} as {old}, this run gives {new}")
-        # Of several frames the newest is the last.
-        columns.append(torch.arange(at + new["size"] - old["size"], at + new["size"]))
-    return torch.cat(columns)
-
-
-def _kind(part: dict[str, Any]) -> dict[str, Any]:
-    """What must be the same of a part: all but how many frames there are."""
-    frames = part.get("history_length", 1)
-    return {**part, "size": part["size"] // frames, "history_length": 0}

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from skatemount.agent import MODULE, Agent, check_contract, load_weights, make_card
+from skatemount.agent import MODULE, Agent, load_weights, make_card
 from skatemount.checkpoint import save_policy
 from skatemount.config import Config, compose
+from skatemount.contract import check_contract
 from skatemount.envs.task import MountTask
 from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic

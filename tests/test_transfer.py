@@ -10,8 +10,9 @@ from tensordict import TensorDict
 from tiny import SILENT, TINY
 from torch import Tensor
 
-from skatemount.agent import Agent, observation_contract
+from skatemount.agent import Agent
 from skatemount.config import compose
+from skatemount.contract import observation_contract
 from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic
 from skatemount.training import Trainer
@@ -89,7 +90,7 @@ def test_does_what_it_did(small: Agent, tmp_path: Path, overrides: list[str], ne
         (["network.actor=[16]"], ["actor=[16, 8]", "actor=[16]", "as many layers"]),
         (["network.critic=[10,8]"], ["critic=[12, 8]", "critic=[10, 8]", "as large or larger"]),
         (["network.activation=relu"], ["activation=elu", "activation=relu"]),
-        (["observation=compact"], ["observation.command", "not in this run's observation"]),
+        (["observation=compact"], ["observation.command", "this run gives nothing"]),
         (["observation.policy.gravity.clip=0.5"], ["observation.gravity", "0.5"]),
         (["physics.substeps=2"], ["control_step"]),
     ],

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
 
 from skatemount.agent import Agent
+from skatemount.contract import columns
 from skatemount.envs.mount_env import MountEnv
 from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic
@@ -24,16 +26,18 @@ class Relay:
     """A walking and a mounting policy that take turns in each world.
 
     The walking policy follows the velocity command that the environment computes from the board's pose
-    (`skatemount.envs.commands.toward_board`); both see the same observation.
+    (`skatemount.envs.commands.toward_board`). The mounting policy sees the whole observation.
 
     Attributes:
         walk: The walking policy.
         mount: The mounting policy.
+        seen_walking: ``[D]``, which values of the observation the walking policy sees, in its order.
         handover: Distance between trunk and deck's centre in the plane at which the mounting policy takes over, m.
     """
 
     walk: ActorCritic
     mount: ActorCritic
+    seen_walking: Tensor
     handover: float
 
     def actor_in(self, env: MountEnv) -> Callable[[TensorDictBase], TensorDictBase]:
@@ -48,7 +52,8 @@ class Relay:
             nonlocal mounting
             distance = env.episode.distance
             mounting = (distance < self.handover) | (mounting & (distance < self.handover + MARGIN))
-            walked, acted = self.walk.actor(seen.copy()), self.mount.actor(seen)
+            walked = self.walk.actor(TensorDict(observation=seen["observation"][:, self.seen_walking]))
+            acted = self.mount.actor(seen)
             acted["action"] = torch.where(mounting.unsqueeze(1), acted["action"], walked["action"])
             return acted
 
@@ -65,10 +70,12 @@ class PipelineAgent(Agent):
 
     Attributes:
         walker: The walking policy.
+        seen_walking: See `Relay`.
         handover: See `Relay`.
     """
 
     walker: Agent
+    seen_walking: Tensor
     handover: float
 
     @property
@@ -80,11 +87,12 @@ class PipelineAgent(Agent):
         """Move what acts to a device."""
         super().to(device)
         self.walker.to(device)
+        self.seen_walking = self.seen_walking.to(device)
 
     @property
     def policy(self) -> Relay:
         """What acts."""
-        return Relay(self.walker.networks, self.networks, self.handover)
+        return Relay(self.walker.networks, self.networks, self.seen_walking, self.handover)
 
     @property
     def settings(self) -> list[str]:
@@ -101,7 +109,8 @@ class PipelineAgent(Agent):
             root: Folder of all runs.
 
         Raises:
-            ConfigError: Not two policies, or they do not see or do the same.
+            ConfigError: Not two policies, or the first one sees something that the second one does not, or they do not
+                act alike.
         """
         names = spec.split("+")
         if len(names) != 2 or not all(names):
@@ -109,10 +118,10 @@ class PipelineAgent(Agent):
         walker, mounter = (
             Agent.load(f"{PRETRAINED}{name}" if is_shipped(name) else name, root, "pipeline") for name in names
         )
-        for what in ("observation", "action"):
-            if getattr(walker.card, what) != getattr(mounter.card, what):
-                raise ConfigError(
-                    f"pipeline={spec}: the cards of {names[0]} and {names[1]} differ in {what}; policies that take "
-                    "turns must be trained with the same"
-                )
-        return cls(**vars(mounter), walker=walker, handover=handover)
+        if walker.card.action != mounter.card.action:
+            raise ConfigError(
+                f"pipeline={spec}: the cards of {names[0]} and {names[1]} differ in action; policies that take turns "
+                "must act alike"
+            )
+        seen = columns(mounter.card.observation, walker.card, "observation", f"pipeline={spec}: {names[0]}", names[1])
+        return cls(**vars(mounter), walker=walker, seen_walking=seen, handover=handover)

@@ -13,13 +13,14 @@ import torch
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from skatemount import config as configuration
-from skatemount.agent import Agent, check_contract
+from skatemount.agent import Agent
 from skatemount.benchmark.evaluation import EVALUATION_SEED, NUM_WORLDS, Evaluator, mix_seeds
 from skatemount.benchmark.pipeline import PipelineAgent
 from skatemount.benchmark.records import EpisodeRecords
 from skatemount.benchmark.results import Evaluation
 from skatemount.benchmark.suites import SuiteConfig
 from skatemount.config import Config
+from skatemount.contract import check_contract
 from skatemount.errors import ConfigError
 
 NOT_THE_TASKS = (
