@@ -8,7 +8,7 @@ VENV ?= .venv
 PYTHON ?=
 ARGS ?=
 STAGE ?= balance
-POLICY ?= unfixed
+POLICY ?= best
 
 PY := $(VENV)/bin/python
 PIPFLAGS ?=
