@@ -14,7 +14,7 @@ class BenchConfig:
     Attributes:
         worlds: Numbers of worlds to measure, one after the other; none if empty.
         threads: Numbers of threads, of physics and of torch; none if empty.
-        rounds: How often every figure is taken, in turns; the best counts.
+        rounds: How often every figure is taken, in turns; all of them count.
         seconds: For each figure in a round, at least.
         profile: Whether to measure which part of the code the time goes to.
         start: Whether to measure how long the training command takes until its first iteration is done.

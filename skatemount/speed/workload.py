@@ -32,23 +32,35 @@ class Workload:
         self._env = trainer.env
         self._iterations = trainer.iterations()
         self._data: TensorDictBase = self._env.reset()
-        self._states: list[tuple[Any, torch.Tensor]] = []
-        for step in range(SETTLE + KEPT):
+        for _ in range(SETTLE):
             self._act()
-            if step >= SETTLE:
-                self._states.append((self._env.physics.raw_state(), self._env.mdp.targets(self._data["action"])))
-            _, self._data = self._env.step_and_maybe_reset(self._data)
+            self._step()
 
     def _act(self) -> None:
         with torch.no_grad():
             self._data = self.trainer.networks.actor(self._data)
 
+    def _step(self) -> None:
+        _, self._data = self._env.step_and_maybe_reset(self._data)
+
+    def _present_states(self) -> list[tuple[Any, torch.Tensor]]:
+        """States of the engine in the next control steps, and the joint targets that follow."""
+        states = []
+        for _ in range(KEPT):
+            self._act()
+            states.append((self._env.physics.raw_state(), self._env.mdp.targets(self._data["action"])))
+            self._step()
+        return states
+
     def raw(self, seconds: float) -> tuple[int, float]:
-        """Physics alone, the policy's states and actions over and over: no resets, no observation, no reward."""
-        physics, substeps = self._env.physics, self.trainer.config.physics.substeps
+        """Physics alone, the policy's present states and actions over and over: no resets, no observation, no reward.
+
+        States of a training's beginning would not do: how much a step of physics costs depends on who touches what.
+        """
+        physics, substeps, states = self._env.physics, self.trainer.config.physics.substeps, self._present_states()
         here, spent, steps = physics.raw_state(), 0.0, 0
         while spent < seconds:
-            state, targets = self._states[steps % KEPT]
+            state, targets = states[steps % KEPT]
             physics.set_raw_state(state)
             start = self._now()
             physics.step(targets, substeps)
@@ -63,7 +75,7 @@ class Workload:
         while spent < seconds:
             self._act()
             start = self._now()
-            _, self._data = self._env.step_and_maybe_reset(self._data)
+            self._step()
             spent += self._now() - start
             steps += 1
         return steps * self._env.num_worlds, spent
