@@ -16,6 +16,7 @@ from skatemount.benchmark.pipeline import Policy, Relay
 from skatemount.benchmark.records import EpisodeRecords, Recorder
 from skatemount.benchmark.results import Evaluation
 from skatemount.config import Config
+from skatemount.devices import torch_threads
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.task import MountTask
 from skatemount.errors import ConfigError
@@ -159,12 +160,10 @@ def deterministic() -> Iterator[None]:
     On one thread, as the sums of a matrix product come out differently with another number of them; physics, which
     takes nearly all the time, does not depend on its threads.
     """
-    precision, threads = torch.get_float32_matmul_precision(), torch.get_num_threads()
+    precision = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("highest")
-    torch.set_num_threads(1)
     try:
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC), torch_threads(1):
             yield
     finally:
-        torch.set_num_threads(threads)
         torch.set_float32_matmul_precision(precision)

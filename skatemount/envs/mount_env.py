@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from skatemount.devices import torch_threads
 from skatemount.envs.mdp import Outcome
 from skatemount.envs.physics.base import Physics, make_physics
 from skatemount.envs.randomization import Pushes, Randomizer
@@ -20,6 +21,9 @@ from skatemount.envs.statistics import EpisodeStatistics
 from skatemount.envs.task import MountTask
 
 Listener = Callable[[EpisodeState, Outcome, Tensor], None]
+
+MANY_WORLDS = 4096
+"""With fewer, it takes longer to wake torch's threads for a step's small operations than they save."""
 
 
 class MountEnv(EnvBase):
@@ -76,6 +80,7 @@ class MountEnv(EnvBase):
         self._sim: SimState | None = None
         self._substeps = config.substeps
         self._random_phase = random_phase
+        self._torch_threads = 1 if n < MANY_WORLDS else None
         self._make_specs(n)
         self.set_seed(seed)
 
@@ -126,6 +131,10 @@ class MountEnv(EnvBase):
         self.statistics.clear()
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
+        with torch_threads(self._torch_threads):
+            return self._begin(tensordict)
+
+    def _begin(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         mask = torch.ones(self.num_worlds, dtype=torch.bool, device=self.device)
         if tensordict is not None and "_reset" in tensordict.keys():
             mask = tensordict["_reset"].reshape(self.num_worlds)
@@ -184,7 +193,10 @@ class MountEnv(EnvBase):
         self._queue = StartQueue(sampler, max(self.num_worlds, 1024), self.generator, self._change)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = tensordict["action"]
+        with torch_threads(self._torch_threads):
+            return self._advance(tensordict["action"])
+
+    def _advance(self, action: Tensor) -> TensorDictBase:
         if self._pushes.active:
             self.physics.push(*self._pushes.due())
         self.physics.step(self.mdp.targets(action), self._substeps)

@@ -169,7 +169,7 @@ class ObservationTable:
         if generator is not None and self._noisy:
             values = torch.addcmul(values, uniform(values.shape, generator, (-1.0, 1.0)), self._noise)
         if self._clipped:
-            values = torch.minimum(torch.maximum(values, -self._clip), self._clip)
+            values = values.clamp(-self._clip, self._clip)
         return values * self._scale
 
     def layout(self) -> list[dict[str, Any]]:
