@@ -20,7 +20,7 @@ from skatemount.config import Config, compose, config_dir, from_dict, stages, to
 from skatemount.envs.task import MountTask
 from skatemount.errors import ConfigError
 
-STAGES = ["approach", "balance", "forward", "gait", "mount", "unfixed"]
+STAGES = ["anywhere", "approach", "balance", "forward", "gait", "mount", "unfixed"]
 BY_DEFAULT = {next(iter(entry)) for entry in yaml.safe_load((config_dir() / "config.yaml").read_text())["defaults"][1:]
               if isinstance(entry, dict)}  # fmt: skip
 OPTIONS = [
@@ -52,20 +52,21 @@ def test_stage_composes(stage: str) -> None:
     config = stage_config(stage)
     assert config.stage.name == stage
     assert (config.stage.init_from is None) == (stage in ("gait", "balance", "forward"))
-    assert config.start.board_fixed == (0.0 if stage == "unfixed" else 1.0)
+    assert config.start.board_fixed == {"unfixed": 0.0, "anywhere": 0.15}.get(stage, 1.0)
     MountTask(config=config)  # every term and parameter of its tables exists
 
 
 def test_stages_differ_as_described() -> None:
     by_name = {name: stage_config(name) for name in STAGES}
     lengths = {name: config.episode_length for name, config in by_name.items()}
-    assert lengths == dict(approach=6.0, balance=5.0, forward=6.0, gait=10.0, mount=5.0, unfixed=6.0)
+    assert lengths == dict(anywhere=6.0, approach=6.0, balance=5.0, forward=6.0, gait=10.0, mount=5.0, unfixed=6.0)
     for name in ("approach", "unfixed"):
         start = by_name[name].start
         assert (start.x, start.y, start.both_sides) == ([-0.3, 0.3], [0.5, 1.0], True)
     mount = by_name["mount"].start
     assert (mount.x, mount.y) == ([-0.3, 0.3], [-0.3, 0.3])
     assert mount.yaw == pytest.approx([-math.pi, math.pi], abs=1e-4)
+    assert by_name["anywhere"].start.distance == [0.0, 1.05] and mount.distance is None
     gait = by_name["gait"]
     assert (gait.success, gait.command.mode) == ("gait", "sampled")
     assert gait.start.x[0] > 2.0  # out of the board's reach
@@ -250,6 +251,13 @@ def test_saved_configuration_that_does_not_fit_is_one_line(change: dict, expecte
     with pytest.raises(ConfigError) as error:
         from_dict(values)
     assert expected in one_line(error)
+
+
+def test_a_stage_built_on_another_keeps_its_rewards_and_what_its_policy_sees() -> None:
+    unfixed, anywhere = stage_config("unfixed"), stage_config("anywhere")
+    assert anywhere.reward == unfixed.reward and anywhere.episode_length == unfixed.episode_length
+    assert anywhere.observation == compose("unfixed", ["observation=history"]).observation != unfixed.observation
+    assert compose("anywhere", ["observation=default"]).observation == unfixed.observation
 
 
 def test_configuration_inside_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

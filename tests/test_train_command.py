@@ -53,7 +53,7 @@ def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (["+stage=balanced"], "stage=balanced is not a stage; there are: approach, balance,"),
+        (["+stage=balanced"], "stage=balanced is not a stage; there are: anywhere, approach,"),
         (["stage=balance"], "stage=balance: write +stage=balance"),
         (["+stage=balance", "total_frame=3"], "total_frame"),
         (["+stage=balance", "reward.alive.weight=-1", "physics.num_worlds=2"], "reward.alive.weight=-1.0 must be"),
