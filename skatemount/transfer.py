@@ -8,7 +8,6 @@ import torch
 from torch import Tensor, nn
 
 from skatemount.agent import MODULE, Agent, load_weights
-from skatemount.checkpoint import Card
 from skatemount.contract import Parts, check_actions, check_contract, columns, observation_contract
 from skatemount.envs import MountTask
 from skatemount.errors import ConfigError
@@ -38,20 +37,21 @@ def take_over(networks: ActorCritic, agent: Agent, task: MountTask, may_grow: bo
     try:
         check_contract(agent.card, task, where)
     except ConfigError as error:
-        if not _sees_all_of_it(agent.card, task, where):
-            raise
-        raise ConfigError(f"{error}; grow=true takes it over into a run that sees more") from error
+        advice = "choose for this run what it was trained with, or another init_from"
+        if _sees_all_of_it(agent, task, where):
+            advice += ", or grow=true, which takes it over into a run that sees more"
+        raise ConfigError(f"{error}: {advice}") from error
     for name in ("actor", "critic"):
         _check_same(name, networks.config, agent.config.network, where, ", or grow=true for a larger one")
     load_weights(networks, {MODULE: agent.networks.state_dict()}, where)
 
 
-def _sees_all_of_it(card: Card, task: MountTask, where: str) -> bool:
+def _sees_all_of_it(agent: Agent, task: MountTask, where: str) -> bool:
     """Whether a task shows all that a policy saw, and its actions mean the same."""
     try:
-        check_actions(card, task, where)
+        check_actions(agent.card, task, where)
         for key in ("observation", "privileged"):
-            columns(observation_contract(task), card, key, where, "this run")
+            columns(observation_contract(task), agent.card, key, where, "this run")
     except ConfigError:
         return False
     return True

@@ -123,5 +123,6 @@ class PipelineAgent(Agent):
                 f"pipeline={spec}: the cards of {names[0]} and {names[1]} differ in action; policies that take turns "
                 "must act alike"
             )
-        seen = columns(mounter.card.observation, walker.card, "observation", f"pipeline={spec}: {names[0]}", names[1])
+        where = f"pipeline={spec}: the first policy must see no more than the second; {names[0]}"
+        seen = columns(mounter.card.observation, walker.card, "observation", where, names[1])
         return cls(**vars(mounter), walker=walker, seen_walking=seen, handover=handover)
