@@ -9,6 +9,8 @@ PYTHON ?=
 ARGS ?=
 STAGE ?= balance
 POLICY ?= best
+# The best policy is shown where its success is quoted; others in the task that they were trained in.
+SUITE ?= $(if $(filter best,$(POLICY)),approach-unfixed)
 
 PY := $(VENV)/bin/python
 PIPFLAGS ?=
@@ -28,14 +30,14 @@ help:
 	@echo "make docs       build the documentation into docs/_build/html"
 	@echo "make clean      remove the environment and everything that tools made (not runs/)"
 	@echo "make setup      only set up $(VENV); setup-test and setup-dev add the tools"
-	@echo 'settings:       PYTHON=/path/to/python  VENV=folder  STAGE=mount  POLICY=balance  ARGS="seed=1"'
+	@echo 'settings:       PYTHON=/path/to/python  VENV=folder  STAGE=mount  POLICY=balance  SUITE=far  ARGS="seed=1"'
 
 train: setup
 	$(PY) -m skatemount.train +stage=$(STAGE) $(ARGS)
 
 demo: setup
-	$(PY) -m skatemount.evaluate checkpoint=pretrained:$(POLICY) $(ARGS)
-	$(PY) -m skatemount.record checkpoint=pretrained:$(POLICY) $(ARGS)
+	$(PY) -m skatemount.evaluate checkpoint=pretrained:$(POLICY) $(SUITE:%=suite=%) $(ARGS)
+	$(PY) -m skatemount.record checkpoint=pretrained:$(POLICY) $(SUITE:%=suite=%) $(ARGS)
 
 test: setup-test
 	$(PY) -m pytest $(ARGS)
