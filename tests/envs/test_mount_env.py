@@ -360,3 +360,16 @@ def test_an_episode_may_end_once_the_robot_has_stood_enough(make_env) -> None:
     assert len(ended[1.2]) > 0
     assert ended[1.2].min() == pytest.approx(1.2, abs=0.1)
     assert (ended[None] == 3.0).all()
+
+
+def test_a_small_environment_uses_one_of_torchs_threads_and_gives_the_others_back(make_env, monkeypatch) -> None:
+    env: MountEnv = make_env("unfixed", 4)
+    used, observe = [], env.mdp.observe
+    monkeypatch.setattr(env.mdp, "observe", lambda *given: used.append(torch.get_num_threads()) or observe(*given))
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        env.step(env.rand_action(env.reset()))
+        assert used == [1, 1] and torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
