@@ -55,7 +55,7 @@ def test_the_nearer_the_board_the_later_policy(make_env) -> None:
     seen = env.reset()
     size = seen["observation"].shape[1]
     walk, mount = Always(1.0, 5), Always(2.0, size)
-    relay = Relay(walk, mount, torch.arange(5), handover=0.6)  # type: ignore[arg-type]
+    relay = Relay(walk, mount, torch.arange(5), handover=0.6)
     act = relay.actor_in(env)
 
     def acting(*distances: float) -> list[float]:
