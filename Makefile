@@ -1,7 +1,7 @@
 # Everything from a machine that has only Python and make:
 #   make train | demo | test          set up the environment, then do the job
 # VENV=<folder> puts the environment elsewhere, PYTHON=<python> chooses the interpreter, and
-# ARGS="..." is handed to the main command of `train`, `demo` and `test`, PIPFLAGS="-q" to pip.
+# ARGS="..." is handed to the commands of `train`, `demo` and `test`, PIPFLAGS="-q" to pip.
 
 SHELL := /bin/sh
 VENV ?= .venv
@@ -37,7 +37,7 @@ train: setup
 
 demo: setup
 	$(PY) -m skatemount.evaluate checkpoint=pretrained:$(POLICY) $(SUITE:%=suite=%) $(ARGS)
-	$(PY) -m skatemount.record checkpoint=pretrained:$(POLICY) $(SUITE:%=suite=%) $(ARGS)
+	$(PY) -m skatemount.record checkpoint=pretrained:$(POLICY) $(SUITE:%=suite=%) $(filter-out episodes=% json=%,$(ARGS))
 
 test: setup-test
 	$(PY) -m pytest $(ARGS)
