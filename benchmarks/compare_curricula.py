@@ -49,6 +49,8 @@ GATED = {"paper": 20}
 """Evaluations of a whole training, for the gates of a chain's stages; they are not counted as steps."""
 SUITES = ("mount-fixed", "mount-unfixed", "approach-fixed", "approach-unfixed")
 TRANSFER = "paper, end of approach"
+LINES = tuple(zip(COLOURS, ("-", "--", ":")))
+"""Of each method: curves may lie on each other."""
 
 
 def count_successes(agent: Agent, suite: str, episodes: int) -> int:
@@ -109,15 +111,12 @@ class Comparison:
         run = self.run(method, seed)
         if run is not None and self.saved(run)[-1].frames >= self.frames:
             return
-        root = f"logger.root={self.folder / 'runs'}"
         if run is not None:
-            kept = [
-                each for each in self._overrides if each.startswith(("logger.", "torch_threads", "physics.threads"))
-            ]
-            arguments = [f"resume={run.path}", root, *kept, *self._logger(method)]
+            arguments = [f"resume={run.path}"]
         else:
-            name = [f"logger.name={method}_seed{seed}", "logger.experiment=compare", root]
-            arguments = [*METHODS[method], *self._overrides, f"seed={seed}", f"total_frames={self.frames}", *name]
+            name = [f"logger.name={method}_seed{seed}", "logger.experiment=compare"]
+            root = f"logger.root={self.folder / 'runs'}"
+            arguments = [*METHODS[method], *self._overrides, f"seed={seed}", f"total_frames={self.frames}", *name, root]
             arguments += self._logger(method)
         training = subprocess.Popen([sys.executable, "-m", "skatemount.train", *arguments])
         # It leaves a checkpoint when it is asked to end.
@@ -203,21 +202,24 @@ def draw(curves: dict[str, list[list[dict[str, Any]]]], frames: int, path: Path)
     figure = Figure(figsize=(9.6, 7.2), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
+    highest = 0.02
     for axis, suite in zip(panels.flat, SUITES):
-        for colour, (method, seeds) in zip(COLOURS, curves.items()):
+        for (colour, style), (method, seeds) in zip(LINES, curves.items()):
             lines = [([p["frames"] for p in seed], [p["success"][suite] for p in seed]) for seed in seeds if seed]
             if not lines:
                 continue
             for x, y in lines:
-                axis.plot(x, y, color=colour, lw=0.8, alpha=0.5)
+                axis.plot(x, y, color=colour, ls=style, lw=0.8, alpha=0.5)
+                highest = max(highest, *y)
             grid = np.linspace(max(x[0] for x, _ in lines), min(x[-1] for x, _ in lines), 50)
             mean = np.mean([np.interp(grid, x, y) for x, y in lines], axis=0)
-            axis.plot(grid, mean, color=colour, lw=2.4, label=method)
+            axis.plot(grid, mean, color=colour, ls=style, lw=2.4, label=method)
         axis.set_title(suite, fontsize=10)
         axis.set_xlim(0, frames)
-        axis.set_ylim(-0.03, 1.03)
         axis.xaxis.set_major_formatter(EngFormatter(sep=""))
         axis.grid(alpha=0.25)
+    # Of one scale, which shows what there is: short trainings may be far from 1.
+    panels[0, 0].set_ylim(-0.03 * highest, 1.03 * highest)
     for axis in panels[-1]:
         axis.set_xlabel("environment steps", fontsize=9)
     for axis in panels[:, 0]:

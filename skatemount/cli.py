@@ -18,7 +18,8 @@ from skatemount.config import Config
 from skatemount.errors import ConfigError
 
 _BELONGS_TO = {
-    **dict.fromkeys(("init_from", "grow"), ("train", "bench")),
+    **dict.fromkeys(("init_from", "grow", "total_frames", "precision", "torch_threads"), ("train", "bench")),
+    **dict.fromkeys(("algorithm", "collector", "curriculum"), ("train", "bench")),
     "resume": ("train",),
     **dict.fromkeys(("checkpoint", "pipeline", "handover", "suite"), ("evaluate", "record")),
     "output": ("evaluate", "record", "bench"),

@@ -148,6 +148,12 @@ class Config(TaskConfig):
                 f"curriculum.kind={self.curriculum.kind} opens start states about the board, and stage "
                 f"{self.stage.name} is not about mounting it: leave out the curriculum"
             )
+        final, low, high = self.algorithm.final_std, self.network.min_std, self.network.max_std
+        if final is not None and not low <= final <= high:
+            raise ConfigError(
+                f"algorithm.final_std={final} must be within network.min_std={low} and network.max_std={high}, from "
+                "which it falls"
+            )
         self._check_gate("stage.gate", self.stage.gate)
         if not self.logger.root:
             raise ConfigError("logger.root='' must name a folder, such as runs")

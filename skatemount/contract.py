@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from skatemount.checkpoint import Card
-from skatemount.envs.scene import LEGS
+from skatemount.envs.entities.a1_links import LEGS, LINKS
 from skatemount.envs.task import MountTask
 from skatemount.errors import ConfigError
 
-JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "calf"))
+JOINTS = tuple(f"{leg}_{link}" for leg in LEGS for link in LINKS)
 
 Parts = list[dict[str, Any]]
 """What a policy sees, as `observation_contract` gives it."""

@@ -232,7 +232,8 @@ def _event_writer(folder: Path, resume_at: int | None) -> SummaryWriter:
         from torch.utils.tensorboard import SummaryWriter  # slow to import
     except ImportError as error:
         raise ConfigError(
-            "tensorboard=True: the package tensorboard is not installed; install it or set it False"
+            "logger.tensorboard=true: the package tensorboard is not installed: pip install tensorboard, or "
+            "logger.tensorboard=false"
         ) from error
     # TensorBoard forgets events from `purge_step` on, that step included.
     return SummaryWriter(str(folder), purge_step=None if resume_at is None else resume_at + 1)

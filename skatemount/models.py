@@ -83,6 +83,7 @@ class RunningNormalizer(nn.Module):
         self.register_buffer("mean", torch.zeros(size))
         self.register_buffer("var", torch.ones(size))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+        self._unknown: Tensor | None = None
 
     @torch.no_grad()
     def observe(self, values: Tensor, mirror: Mirror | None = None) -> None:
@@ -102,6 +103,9 @@ class RunningNormalizer(nn.Module):
             n, image = 2 * n, mirror(mean)
             var = (var + var[mirror.permutation]) / 2 + ((mean - image) / 2).square()
             mean = (mean + image) / 2
+        if self._unknown is not None:
+            self.mean[self._unknown], self.var[self._unknown] = mean[self._unknown], var[self._unknown]
+            self._unknown = None
         total = self.count + n
         share = (n / total).to(mean.dtype)
         shift = mean - self.mean
@@ -111,9 +115,14 @@ class RunningNormalizer(nn.Module):
 
     @torch.no_grad()
     def take_over(self, other: RunningNormalizer, places: Tensor) -> None:
-        """Continue another one's statistics, as those of the values at the given places, ``[other's size]``."""
+        """Continue another one's statistics, as those of the values at the given places, ``[other's size]``.
+
+        All other values take theirs from what is observed next: the other one's count would hold them where they are.
+        """
         self.mean[places], self.var[places] = other.mean, other.var
         self.count.copy_(other.count)
+        self._unknown = torch.ones_like(self.mean, dtype=torch.bool)
+        self._unknown[places] = False
 
     def forget(self) -> None:
         """Let what is observed next replace what was observed so far, instead of adding to it."""

@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from skatemount import opengl
-from skatemount.envs.scene import LEGS
+from skatemount.envs.entities.a1_links import LEGS
 from skatemount.errors import ConfigError
 
 FIELD_OF_VIEW = 32.0

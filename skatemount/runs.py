@@ -66,8 +66,8 @@ class RunFolder:
         Raises:
             ConfigError: A name is not a plain one, or the configuration is not plain data.
         """
-        _check_name("experiment", experiment)
-        _check_name("name", name)
+        _check_name("logger.experiment", experiment)
+        _check_name("logger.name", name)
         config_text = _yaml(config)
         parent = Path(root) / experiment
         stem = f"{datetime.datetime.now():%Y-%m-%d_%H-%M-%S}_{name}"
@@ -103,11 +103,12 @@ class RunFolder:
         return RunFolder(path, parent=self)
 
     @classmethod
-    def open(cls, path: Path | str) -> RunFolder:
+    def open(cls, path: Path | str, setting: str = "run") -> RunFolder:
         """Opens an existing run, to resume it or to read it.
 
         Args:
             path: The run folder, or a checkpoint folder in it.
+            setting: What to call it in messages.
 
         Raises:
             ConfigError: It is not a run.
@@ -116,7 +117,9 @@ class RunFolder:
         for folder in (path, path.parent.parent if path.parent.name == "checkpoints" else path):
             if _is_run(folder):
                 return cls(folder, parent=cls(folder.parent) if _is_run(folder.parent) else None)
-        raise ConfigError(f"run={str(path)!r}: not a run folder (config.yaml and git.diff in it)")
+        raise ConfigError(
+            f"{setting}={str(path)!r}: not a run folder (config.yaml and git.diff in it), nor a checkpoint of one"
+        )
 
     @property
     def config(self) -> dict[str, Any]:
@@ -136,23 +139,13 @@ class RunFolder:
 
     @property
     def checkpoints(self) -> Path:
-        """Folder of the checkpoints, made when first asked for; so are the others below."""
+        """Folder of the checkpoints, made when first asked for; so is the next one."""
         return self._folder("checkpoints")
 
     @property
     def videos(self) -> Path:
         """Folder of the films."""
         return self._folder("videos")
-
-    @property
-    def report(self) -> Path:
-        """Folder of the report."""
-        return self._folder("report")
-
-    @property
-    def exported(self) -> Path:
-        """Folder of exported policies."""
-        return self._folder("exported")
 
     @property
     def metrics_csv(self) -> Path:

@@ -58,7 +58,7 @@ class Mirror(nn.Module):
         for name in ("_one", "_other", "_sign", "_share"):
             self.register_buffer(name, None, persistent=False)
         self._pair_up()
-        self.register_load_state_dict_post_hook(lambda module, keys: self._pair_up())
+        self.register_load_state_dict_post_hook(lambda module, keys: module._pair_up())
 
     def _pair_up(self) -> None:
         """Which values make up the coordinates."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import signal
 import time
 from collections.abc import Generator, Iterator
@@ -60,31 +61,40 @@ def resumed(config: Config, overrides: list[str]) -> Config:
     """
     if config.resume is None:
         return config
-    check_resumable(overrides)
     folder = find_checkpoint(config.resume, Path(config.logger.root), setting="resume")
-    saved = configuration.from_dict(RunFolder.open(folder).config)
-    take_over_what_may_change(saved, config)
+    saved = configuration.from_dict(RunFolder.open(folder, setting="resume").config)
+    change_saved(saved, config, overrides)
     saved.resume = str(folder)
-    if any(o.startswith("total_frames=") for o in overrides):
-        saved.total_frames = config.total_frames
     return saved
 
 
-def check_resumable(overrides: list[str]) -> None:
-    """Raise `ConfigError` for an override that cannot be changed in the middle of a run."""
-    may_change = ("total_frames", "torch_threads", "resume", "physics.threads", "logger.")
+def change_saved(saved: Config, config: Config, overrides: list[str]) -> None:
+    """Change in a run's saved settings what the user asks for and may change in the middle of a run.
+
+    Args:
+        saved: The run's settings, changed in place.
+        config: As composed from the command line.
+        overrides: What the user asked for.
+
+    Raises:
+        ConfigError: An override that cannot be changed, or a value that does not go with what was saved.
+    """
+    may_change = ("total_frames", "torch_threads", "physics.threads")
     for override in overrides:
         key = override.lstrip("+~").partition("=")[0]
-        if not key.startswith(may_change):
+        if key in ("resume", "logger.root"):
+            # They say where the run is found.
+            continue
+        named = key in ("logger.name", "logger.experiment")
+        if named or not (key in may_change or key.startswith("logger.")):
             raise ConfigError(
-                f"{override} cannot be changed with resume; {', '.join(may_change)}* can, else use init_from"
+                f"{override} cannot be changed with resume; {', '.join(may_change)} and logger.* (but name and "
+                "experiment) can, else use init_from"
             )
-
-
-def take_over_what_may_change(saved: Config, config: Config) -> None:
-    """Put what may change in the middle of a run, but ``total_frames``, into its saved settings."""
-    saved.torch_threads, saved.physics.threads = config.torch_threads, config.physics.threads
-    saved.logger = config.logger
+        *groups, name = key.split(".")
+        old, new = (functools.reduce(getattr, groups, each) for each in (saved, config))
+        setattr(old, name, getattr(new, name))
+    saved.validate()
 
 
 def make_networks(config: Config, mdp: Mdp) -> ActorCritic:
@@ -177,9 +187,16 @@ class Trainer:
         if self.curriculum is not None:
             self.curriculum.load_state_dict(state["curriculum"])
             self.env.place_starts(self.curriculum.place)
-        set_rng_state(state["torch_rng"], self.env.physics.device)
+        device = self.env.physics.device
+        if (saved := state.get("device", device.type)) != device.type:
+            raise ConfigError(
+                f"physics.device={device.type}: {folder} was trained on {saved}, and goes on there only; else use "
+                "init_from"
+            )
+        set_rng_state(state["torch_rng"], device)
         self._order.set_state(state["order_rng"])
         self.env.generator.set_state(state["env_rng"])
+        self.ppo.calm_down(self.frames, self.config.total_frames)
         self.started_from = str(folder)
 
     def describe(self) -> str:
@@ -199,6 +216,8 @@ class Trainer:
 
         Raises:
             ConfigError: Nothing is left to train, or another process is training in the same run folder.
+            FloatingPointError: Something is not finite any more; the last checkpoint is from before that.
+            KeyboardInterrupt: Ctrl-C or SIGTERM; there is a checkpoint of the last whole iteration.
         """
         if self.frames >= self.config.total_frames:
             raise ConfigError(
@@ -233,7 +252,9 @@ class Trainer:
                     if last:
                         break
             except KeyboardInterrupt:
-                self.save({})
+                # What is saved already has perhaps been evaluated, and half an iteration more does not make it better.
+                if self.frames and not checkpoint.is_checkpoint(self.run.checkpoint(self.frames)):
+                    self.save({})
                 raise
 
     def iterations(self) -> Generator[dict[str, float]]:
@@ -326,6 +347,7 @@ class Trainer:
             "iteration": self.iteration,
             "elapsed": self.elapsed,
             "curriculum": None if self.curriculum is None else self.curriculum.state_dict(),
+            "device": self.env.physics.device.type,
             "torch_rng": rng_state(self.env.physics.device),
             "order_rng": self._order.get_state(),
             "env_rng": self.env.generator.get_state(),

@@ -123,6 +123,19 @@ def test_normaliser_equals_the_statistics_of_all_it_has_seen() -> None:
     assert normal.std(0, correction=0)[:2].tolist() == pytest.approx([1.0, 1.0], abs=1e-3)
 
 
+def test_normaliser_that_sees_more_than_the_one_it_takes_over() -> None:
+    old, new = RunningNormalizer(1), RunningNormalizer(3)
+    old.observe(torch.tensor([[1.0], [3.0]]).repeat(500, 1))
+    new.take_over(old, torch.tensor([1]))
+    values = torch.tensor([[8.0, 5.0, -1.0], [8.2, 7.0, -3.0]])
+    new.observe(values)
+    # What is new is known from this batch alone, what was known is the sum of both.
+    assert new.mean.tolist() == pytest.approx([8.1, 2 + 4 * 2 / 1002, -2.0], abs=1e-5)
+    assert new.var[[0, 2]].tolist() == pytest.approx([0.01, 1.0], abs=1e-4)
+    new.observe(torch.zeros(1002, 3))
+    assert new.mean[[0, 2]].tolist() == pytest.approx([8.1 / 2, -1.0], rel=1e-2)
+
+
 def test_normaliser_before_it_has_seen_anything_and_far_out() -> None:
     normalizer = RunningNormalizer(2)
     values = torch.tensor([[0.5, -2.0]])

@@ -51,7 +51,7 @@ def test_create_writes_what_is_needed_to_repeat_the_run(runs_root: Path) -> None
     assert f"torch: {torch.__version__.split('+')[0]}" in environment
     assert (run.path / "git.diff").read_text().startswith("#")
     assert not (run.path / "videos").exists()
-    assert run.videos.is_dir() and run.exported.is_dir() and run.report.is_dir()
+    assert run.videos.is_dir()
 
 
 def test_runs_of_the_same_second_get_folders_of_their_own(runs_root: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -116,6 +118,13 @@ def test_even_and_odd_parts_give_what_whole_layers_give(after: Mirror) -> None:
     values = [x, *mlp.parameters()]
     for got, due in zip(grad(mlp(x), values, y), grad(expected, values, y)):
         torch.testing.assert_close(got, due)
+
+
+def test_a_copy_takes_the_mirror_images_that_it_is_given() -> None:
+    plain = Mirror(torch.arange(4), torch.ones(4))
+    copied = copy.deepcopy(plain)
+    copied.load_state_dict(ACTS.state_dict())
+    assert (plain.evens, copied.evens) == (4, ACTS.evens)
 
 
 @pytest.mark.parametrize("mirror", [SEEN, HIDDEN, ACTS, Mirror.halves(6), Mirror.same(3)])

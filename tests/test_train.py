@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import re
 import signal
 from collections.abc import Callable
@@ -18,12 +19,12 @@ from tiny import BATCH, SILENT, TINY
 from skatemount.agent import Agent
 from skatemount.checkpoint import list_checkpoints, load_training_state
 from skatemount.claim import claimed
-from skatemount.config import compose, from_dict
+from skatemount.config import Config, compose, from_dict
 from skatemount.errors import ConfigError
 from skatemount.losses.ppo import PPO
 from skatemount.runs import RunFolder, find_checkpoint
 from skatemount.train import train
-from skatemount.training import Trainer
+from skatemount.training import Trainer, resumed
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
@@ -131,8 +132,6 @@ def test_resume_goes_on(trained: RunFolder, tmp_path: Path) -> None:
 
 
 def test_resumed_trainer_has_what_was_saved(trained: RunFolder) -> None:
-    from skatemount.training import resumed
-
     given = [f"resume={trained.path}", f"total_frames={99 * BATCH}"]
     trainer = Trainer(resumed(compose(None, [*given, "physics.threads=1", "torch_threads=1"]), given), given)
     trainer.close()
@@ -143,9 +142,55 @@ def test_resumed_trainer_has_what_was_saved(trained: RunFolder) -> None:
     assert trainer.run.path == trained.path
 
 
-def test_resume_takes_the_checkpoint_that_is_named(tmp_path: Path) -> None:
-    from skatemount.training import resumed
+def go_on(run: RunFolder, *overrides: str) -> Config:
+    given = [f"resume={run.path}", *overrides]
+    return resumed(compose(None, given), given)
 
+
+def test_a_resumed_run_keeps_its_settings_but_for_what_is_asked_for(tmp_path: Path) -> None:
+    begun = run(tmp_path, *SILENT, "logger.keep_checkpoints=7", "logger.checkpoint_every=2", "logger.name=mine")
+    config = go_on(begun, "logger.plot_every=5", f"++total_frames={9 * BATCH}")
+    saved = from_dict(begun.config)
+    assert config.logger == dataclasses.replace(saved.logger, plot_every=5.0)
+    assert (config.logger.keep_checkpoints, config.logger.csv) == (7, False)
+    assert (config.physics.threads, config.torch_threads, config.total_frames) == (1, 1, 9 * BATCH)
+    assert go_on(begun, "torch_threads=2", "physics.threads=2").physics.threads == 2
+    assert "logger.name=other cannot be changed" in message(lambda: go_on(begun, "logger.name=other"))
+
+
+def test_a_resumed_run_is_checked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Trainer, "_evaluate", lambda self, episodes: evaluated(0.1))
+    begun = run(tmp_path, *SILENT, "logger.evaluate_every=2", "stage.gate=0.9")
+    assert "stage.gate=0.9 needs evaluations" in message(lambda: go_on(begun, "logger.evaluate_every=0"))
+
+
+def test_a_run_goes_on_only_on_the_kind_of_device_that_it_was_trained_on(
+    trained: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load = load_training_state
+    monkeypatch.setattr("skatemount.checkpoint.load_training_state", lambda path: load(path) | {"device": "cuda"})
+    text = message(lambda: Trainer(go_on(trained, f"total_frames={99 * BATCH}")))
+    assert text.startswith("physics.device=cpu") and "cuda" in text
+
+
+def test_steps_that_have_become_small_stay_small_when_a_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # At first every step is far below the target, at the end far above it.
+    settling = ["algorithm.target_kl=1000", "algorithm.final_kl=1e-9", "algorithm.settle=1"]
+    with monkeypatch.context() as patched:
+        interrupt_at(patched, 9)
+        with pytest.raises(KeyboardInterrupt):
+            run(tmp_path, "logger.tensorboard=false", *settling, frames=10 * BATCH)
+    (left,) = (tmp_path / "skatemount").iterdir()
+    begun = RunFolder.open(left)
+    config = go_on(begun)
+    train(config, [f"resume={begun.path}"])
+    rates = [float(row["Loss/learning_rate"]) for row in rows(begun)]
+    assert len(rates) == 10 and rates[8] < rates[7]
+
+
+def test_resume_takes_the_checkpoint_that_is_named(tmp_path: Path) -> None:
     run(tmp_path, *SILENT, "logger.checkpoint_every=1", frames=3 * BATCH)
     for spec, frames in (("latest", 3 * BATCH), (str(next(tmp_path.rglob(f"step_*{2 * BATCH}"))), 2 * BATCH)):
         given = [f"resume={spec}", f"total_frames={9 * BATCH}", f"logger.root={tmp_path}"]
@@ -181,6 +226,9 @@ def test_resume_refuses_what_cannot_change(trained: RunFolder, tmp_path: Path) -
     assert "seed=1 cannot be changed with resume" in resume("seed=1")
     assert "algorithm.clip=0.1" in resume("total_frames=9999", "algorithm.clip=0.1")
     assert f"({10 * BATCH})" in resume("torch_threads=1")  # nothing left to do
+    policy = ["resume=pretrained:balance"]
+    refused = message(lambda: train(compose(None, policy), policy))
+    assert refused.startswith("resume=") and "not a run folder" in refused
     nowhere = [f"resume={tmp_path}"]
     assert str(tmp_path) in message(lambda: train(compose(None, nowhere), nowhere))
 
@@ -251,6 +299,39 @@ def test_request_to_end_leaves_a_checkpoint(tmp_path: Path, monkeypatch: pytest.
     left = RunFolder.open(tmp_path / (tmp_path / "latest").read_text().strip())
     assert left.latest is not None
     assert load_training_state(left.latest)["frames"] == 2 * BATCH
+
+
+def interrupt_at(monkeypatch: pytest.MonkeyPatch, call: int) -> None:
+    """Let the user end the training when an update, counted from 1, is about to begin."""
+    update, calls = PPO.update, []
+
+    def interrupted(self: PPO, batch: Any) -> dict[str, float]:
+        calls.append(batch)
+        if len(calls) == call:
+            raise KeyboardInterrupt
+        return update(self, batch)
+
+    monkeypatch.setattr(PPO, "update", interrupted)
+
+
+def test_a_request_to_end_does_not_replace_what_was_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Trainer, "_evaluate", lambda self, episodes: evaluated(0.9))
+    interrupt_at(monkeypatch, 3)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, "logger.evaluate_every=2", *SILENT, frames=100 * BATCH)
+    left = RunFolder.open(tmp_path / (tmp_path / "latest").read_text().strip())
+    assert left.best is not None and left.best == left.latest
+    assert Agent.load(str(left.best)).card.metrics["Evaluation/success"] == 0.9
+
+
+def test_a_request_to_end_before_anything_is_learnt_leaves_no_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interrupt_at(monkeypatch, 1)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, *SILENT, frames=100 * BATCH)
+    (left,) = (tmp_path / "skatemount").iterdir()
+    assert RunFolder.open(left).latest is None
 
 
 def test_what_is_not_finite_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -114,6 +114,9 @@ class Evaluator:
 
         Returns:
             The episodes ``number * N`` to ``(number + 1) * N - 1`` of the seed, one a world in order.
+
+        Raises:
+            ConfigError: The engine's memory was too small for all contacts.
         """
         env, recorder = self.env, self._recorder
         watch = watch or (lambda step: None)
@@ -128,6 +131,8 @@ class Evaluator:
                 watch(step)
                 if recorder.finished:
                     break
+        if lost := env.physics.overflowed():
+            raise ConfigError(lost)
         return recorder.records(number * env.num_worlds)
 
     @property

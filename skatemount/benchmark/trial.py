@@ -28,6 +28,9 @@ NOT_THE_TASKS = (
 )
 """Settings of the verbs themselves."""
 
+_MACHINE = ("engine", "device", "threads", "max_contacts", "max_constraints")
+"""Settings of the physics that do not come from the training."""
+
 
 @dataclass
 class Trial:
@@ -237,8 +240,8 @@ def trial_config(
     1. Without a suite it is the one that the policy was trained in. With one it is that of the suite's stage, but what
        belongs to the policy stays as in its training: robot, observation, network, control rate (``physics.timestep``
        and ``physics.substeps``), and, where a board is to be mounted, ``command`` if it was switched off there.
-    2. Engine, threads and number of worlds belong to the machine that evaluates: the defaults of here, not of the
-       training.
+    2. Engine, device, its memory, threads and number of worlds belong to the machine that evaluates: the defaults of
+       here, not of the training.
     3. On top of both comes what the suite, the variant and the user ask for, setting by setting: ``start.x=[0,1]``
        changes that value alone, and ``board=longboard`` the whole group, as it is composed in that stage. The user has
        the last word.
@@ -273,7 +276,7 @@ def trial_config(
     if policy.command.mode == "zero" and result.success == "mount":
         result.command = policy.command
     values = configuration.to_dict(result)
-    values["physics"] |= {name: asked["physics"][name] for name in ("engine", "threads")}
+    values["physics"] |= {name: asked["physics"][name] for name in _MACHINE}
     values["physics"]["num_worlds"] = NUM_WORLDS
     for override in changes:
         _copy(_key(override).replace("/", ".").split("."), asked, values)

@@ -20,6 +20,7 @@ from skatemount.envs.mdp import Outcome
 from skatemount.envs.random import uniform
 from skatemount.envs.starts import Placement
 from skatemount.envs.state import EpisodeState
+from skatemount.errors import ConfigError
 
 AXES = ("distance", "bearing", "heading", "height", "free")
 
@@ -41,6 +42,11 @@ class AutoCurriculum:
 
     def __init__(self, config: CurriculumConfig, deck_height: float):
         config.validate()
+        if max(config.heights[:-1], default=0.0) > deck_height:
+            raise ConfigError(
+                f"curriculum.heights={config.heights}: all but the last one, which stands for the board's own, must be "
+                f"at most its deck's height, {deck_height:g} m"
+            )
         self.config = config
         self._deck_height = deck_height
         edges = (config.distances, config.bearings, config.headings, config.heights)

@@ -28,9 +28,8 @@ from skatemount.runs import RunFolder, find_checkpoint
 from skatemount.state_file import parse_json
 from skatemount.training import (
     Trainer,
-    check_resumable,
+    change_saved,
     gate_reached,
-    take_over_what_may_change,
     termination_as_interrupt,
 )
 
@@ -139,7 +138,6 @@ class Chain:
         Raises:
             ConfigError: An override that cannot be changed in the middle of a run.
         """
-        check_resumable(overrides)
         saved = configuration.from_dict(run.config)
         path = run.path / CONFIGS_FILE
         try:
@@ -148,11 +146,7 @@ class Chain:
             raise ConfigError(f"{path}: cannot be read, and the chain cannot go on without it") from error
         stages = {name: configuration.from_dict(stage) for name, stage in values.items()}
         for each in (saved, *stages.values()):
-            name = each.logger.name
-            take_over_what_may_change(each, copy.deepcopy(config))
-            each.logger.name = name
-        if any(o.startswith("total_frames=") for o in overrides):
-            saved.total_frames = config.total_frames
+            change_saved(each, config, overrides)
         return cls(run, saved, stages, overrides)
 
     def budget(self, place: int) -> int:
@@ -277,7 +271,7 @@ def chain_to_train(config: Config, overrides: Sequence[str]) -> Chain | None:
     if config.resume is None:
         return Chain.begin(config, list(overrides)) if config.curriculum.kind == "stages" else None
     found = find_checkpoint(config.resume, Path(config.logger.root), setting="resume")
-    run = RunFolder.open(found)
+    run = RunFolder.open(found, setting="resume")
     if run.parent is None:
         return None
     latest = run.parent.latest

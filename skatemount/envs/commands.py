@@ -48,11 +48,11 @@ class CommandConfig:
             raise ConfigError(f"{where}.turn_to={self.turn_to} must be one of {', '.join(ENDS)}")
         for name in ("forward", "left", "turn"):
             check_range(f"{where}.{name}", getattr(self, name))
-        if self.resample <= 0:
-            raise ConfigError(f"{where}.resample={self.resample} must be above 0 seconds")
+        if not 0 < self.resample < math.inf:
+            raise ConfigError(f"{where}.resample={self.resample} must be above 0 and finite, in seconds")
         if not 0 <= self.standing <= 1:
             raise ConfigError(f"{where}.standing={self.standing} must be a share between 0 and 1")
-        if self.deadband < 0:
+        if not self.deadband >= 0:
             raise ConfigError(f"{where}.deadband={self.deadband} must be 0 or more, in m/s")
 
 

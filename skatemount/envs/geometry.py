@@ -128,11 +128,6 @@ def rotate_inverse(matrix: Tensor, vectors: Tensor) -> Tensor:
     return vectors @ matrix
 
 
-def wrap_angle(angle: Tensor) -> Tensor:
-    """Angles in radians, wrapped to (-pi, pi]."""
-    return torch.atan2(torch.sin(angle), torch.cos(angle))
-
-
 ACROSS = 0.25
 """Sine of how far the trunk must turn beyond square across the board until the board's other end is its front."""
 

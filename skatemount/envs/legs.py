@@ -12,10 +12,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from skatemount.envs.entities.a1_links import LegKinematics
-
-SIDES = (-1.0, 1.0, -1.0, 1.0)
-FRONTS = (1.0, 1.0, -1.0, -1.0)
+from skatemount.envs.entities.a1_links import LEGS, LegKinematics, leg_signs
 
 
 class Legs:
@@ -27,9 +24,9 @@ class Legs:
 
     def __init__(self, kinematics: LegKinematics):
         self.kinematics = kinematics
-        self._side = torch.tensor(SIDES)
-        hip = [(f * kinematics.hip_x, s * kinematics.hip_y, 0.0) for f, s in zip(FRONTS, SIDES)]
-        self._hip = torch.tensor(hip)
+        fronts, self._side = torch.tensor([leg_signs(leg) for leg in LEGS]).unbind(1)
+        hip = (fronts * kinematics.hip_x, self._side * kinematics.hip_y, torch.zeros(len(LEGS)))
+        self._hip = torch.stack(hip, 1)
 
     def points(self, joints: Tensor, along_thigh: Tensor, along_calf: Tensor) -> tuple[Tensor, Tensor]:
         """Points on the thighs' and the calves' axes in the trunk's frame.

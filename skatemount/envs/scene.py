@@ -18,8 +18,6 @@ from skatemount.envs.entities.arena import MountArena
 from skatemount.envs.entities.skateboard import WELD_SOLIMP, WELD_SOLREF, Skateboard, SkateboardConfig
 from skatemount.errors import ConfigError
 
-LEGS = ("FR", "FL", "RR", "RL")
-
 
 @dataclass
 class SolverConfig:
@@ -201,7 +199,6 @@ class SceneIndex:
         joint_dof: Addresses of the 12 joints in ``qvel``.
         actuators: Actuator ids in joint order.
         base_qpos: Slice of the robot's free joint in ``qpos``; ``base_dof`` in ``qvel``.
-        board_qpos: Slice of the board's free joint in ``qpos``.
         robot_body: Body id of the robot's free frame; ``trunk_body`` has the trunk's mass.
         robot_bodies: Body ids of the trunk and the legs.
         board_body: Body id of the deck.
@@ -221,7 +218,6 @@ class SceneIndex:
     actuators: np.ndarray
     base_qpos: slice
     base_dof: slice
-    board_qpos: slice
     robot_body: int
     trunk_body: int
     robot_bodies: np.ndarray
@@ -268,7 +264,7 @@ class SceneIndex:
         joints = [model.joint(j.full_identifier) for j in scene.robot.joints]
         robot_joint = model.joint(scene.robot_frame.freejoint.full_identifier)
         board_joint = model.joint(scene.board_frame.freejoint.full_identifier)
-        rq, rd, bq = (int(robot_joint.qposadr[0]), int(robot_joint.dofadr[0]), int(board_joint.qposadr[0]))
+        rq, rd = int(robot_joint.qposadr[0]), int(robot_joint.dofadr[0])
         rolling = np.zeros(model.nv)
         rolling[int(board_joint.dofadr[0])] = 1.0
         for wheel in scene.board.wheel_joints:
@@ -287,7 +283,6 @@ class SceneIndex:
             actuators=np.array([model.actuator(a.full_identifier).id for a in scene.robot.actuators]),
             base_qpos=slice(rq, rq + 7),
             base_dof=slice(rd, rd + 6),
-            board_qpos=slice(bq, bq + 7),
             robot_body=robot_body,
             trunk_body=int(model.body(scene.robot.trunk.full_identifier).id),
             robot_bodies=robot_bodies[robot_bodies != robot_body],

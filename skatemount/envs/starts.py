@@ -96,8 +96,8 @@ class StartConfig:
             raise ConfigError(
                 f"{where}.height={self.height} must be 0 or more, in metres: lower would be in the ground"
             )
-        if self.edge_margin < 0:
-            raise ConfigError(f"{where}.edge_margin={self.edge_margin} must be 0 or more, in metres")
+        if not 0 <= self.edge_margin < math.inf:
+            raise ConfigError(f"{where}.edge_margin={self.edge_margin} must be 0 or more and finite, in metres")
 
 
 @dataclass
@@ -194,9 +194,12 @@ class StartSampler:
                 return WorldStart.cat(parts)[:count]
         c = self.config
         where = f"start.x={c.x}, start.y={c.y}" if c.distance is None else f"start.distance={c.distance}"
+        where += f", start.yaw={c.yaw}"
+        if self._place is not None:
+            where = "the curriculum's starts"
         raise ConfigError(
-            f"{where}, start.yaw={c.yaw} leave hardly any place to stand: {have} of "
-            f"{_ROUNDS * count} candidates keep every foot {c.edge_margin} m off the deck's edge; widen them"
+            f"{where} leave hardly any place to stand: {have} of {_ROUNDS * count} candidates keep every foot "
+            f"{c.edge_margin} m off the deck's edge (start.edge_margin) and legs out of board and ground; widen them"
         )
 
     def _within_ranges(self, n: int, generator: torch.Generator) -> Placement:

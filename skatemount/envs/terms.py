@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from skatemount.envs.legs import Legs
 from skatemount.envs.scene import Scene
 from skatemount.envs.state import SimState
 from skatemount.errors import ConfigError
@@ -57,8 +58,6 @@ class TaskContext:
             scene: The scene.
             episode_length: Seconds.
         """
-        from skatemount.envs.legs import Legs
-
         robot, board = scene.robot, scene.board.config
         ranges = torch.as_tensor(robot.joint_range, dtype=torch.float32)
         middle, half = ranges.mean(1), (ranges[:, 1] - ranges[:, 0]) / 2
@@ -89,19 +88,18 @@ class Registry:
         self._functions: dict[str, TermFunction] = {}
         self._attributes: dict[str, Any] = {}
 
-    def register(self, attributes: Any = None, name: str | None = None) -> Callable[[TermFunction], TermFunction]:
+    def register(self, attributes: Any = None) -> Callable[[TermFunction], TermFunction]:
         """Decorator that adds a function under its own name.
 
         Args:
             attributes: What else is known of the term; see `attributes`.
-            name: Another name.
 
         Raises:
             ValueError: The name is taken.
         """
 
         def add(function: TermFunction) -> TermFunction:
-            key = name or function.__name__
+            key = function.__name__
             if key in self._functions:
                 raise ValueError(f"{self.kind} term {key!r} is registered twice")
             self._functions[key] = function
@@ -161,6 +159,8 @@ def _check_parameter(where: str, value: Any, kind: Any) -> None:
     if isinstance(value, bool) != (bool in allowed) or not isinstance(value, allowed):
         names = " or ".join("null" if t is type(None) else t.__name__ for t in allowed)
         raise ConfigError(f"{where}={value} must be of type {names}")
+    if where.endswith(".points") and value < 1:
+        raise ConfigError(f"{where}={value} must be at least 1")
 
 
 def upright(sim: SimState) -> Tensor:

@@ -95,6 +95,11 @@ class AlgorithmConfig:
             )
         if self.final_kl is not None and self.target_kl is None:
             raise ConfigError(f"{where}.final_kl={self.final_kl} needs {where}.target_kl, from which it falls")
+        if self.final_kl is not None and self.target_kl is not None and self.final_kl > self.target_kl:
+            raise ConfigError(
+                f"{where}.final_kl={self.final_kl} must be at most {where}.target_kl={self.target_kl}, from which it "
+                "falls"
+            )
         if self.settle > 1:
             raise ConfigError(f"{where}.settle={self.settle} must be a share of the frames, at most 1")
         for name in ("value_coeff", "entropy_coeff"):
@@ -204,6 +209,7 @@ class PPO:
             ``Loss/*`` and ``Policy/mean_std``.
 
         Raises:
+            ConfigError: ``algorithm.compile`` is on, and torch cannot compile here.
             FloatingPointError: The batch is not finite, and nothing has changed; or the loss or the gradient is not,
                 and the weights are as before that minibatch.
         """

@@ -147,6 +147,15 @@ def test_progress_counts_to_the_end(mixed: tuple[Config, ActorCritic]) -> None:
     assert calls[0] == (0, total) and calls[-1] == (total, total) and (5, total) in calls
 
 
+def test_lost_contacts_are_an_error(mixed: tuple[Config, ActorCritic], monkeypatch: pytest.MonkeyPatch) -> None:
+    config, networks = mixed
+    evaluator = Evaluator(config, 4)
+    monkeypatch.setattr(evaluator.env.physics, "overflowed", lambda: "physics.max_contacts=1 must be larger")
+    with pytest.raises(ConfigError, match=r"physics\.max_contacts"):
+        evaluator.run(networks, 4)
+    evaluator.close()
+
+
 def test_no_episodes_are_refused(mixed: tuple[Config, ActorCritic]) -> None:
     config, networks = mixed
     with pytest.raises(ConfigError, match="episodes=0"):

@@ -25,6 +25,8 @@ TRAINED = [
     "physics.timestep=0.005",
     "physics.threads=7",
     "physics.num_worlds=5000",
+    "physics.device=cuda:1",
+    "physics.max_contacts=7",
     "network.actor=[8]",
     "board.deck_friction=0.9",
     "start.x=[-0.01,0.01]",
@@ -39,7 +41,7 @@ def policy() -> Config:
 def test_without_suite_it_is_what_the_policy_was_trained_in(policy: Config) -> None:
     trial, expected = to_dict(trial_config(policy, None)), to_dict(policy)
     # Except for what belongs to the machine.
-    expected["physics"] |= {"threads": 0, "num_worlds": NUM_WORLDS}
+    expected["physics"] |= {"threads": 0, "num_worlds": NUM_WORLDS, "device": "auto", "max_contacts": 48}
     assert trial == expected
 
 

@@ -226,6 +226,24 @@ def test_mistakes_name_the_setting(setting: str, named: str) -> None:
         compose("unfixed", ["+curriculum=auto", setting])
 
 
+def test_heights_above_the_deck_are_refused() -> None:
+    config = curriculum().config
+    with pytest.raises(ConfigError, match=r"curriculum\.heights.*0\.01 m"):
+        AutoCurriculum(config, deck_height=0.01)
+
+
+def test_episodes_that_began_in_the_middle_teach_nothing(make_env) -> None:
+    auto = curriculum()
+    env = make_env("unfixed", 64, ["episode_length=0.2"], random_phase=True)
+    env.listeners.append(auto.record)
+    env.place_starts(auto.place)
+    env.rollout(4, break_when_any_done=False)
+    # Many have ended by now, and none of them was a whole one.
+    assert auto.trials.sum() == 0
+    env.rollout(12, break_when_any_done=False)
+    assert auto.trials.sum() >= 64
+
+
 def test_environment_reports_to_the_curriculum(make_env) -> None:
     auto = curriculum()
     env = make_env("unfixed", 16, ["episode_length=0.2"])

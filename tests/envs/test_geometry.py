@@ -15,7 +15,6 @@ from skatemount.envs.geometry import (
     quat_to_matrix,
     rotate,
     rotate_inverse,
-    wrap_angle,
 )
 
 
@@ -79,11 +78,3 @@ def test_rotating_into_a_frame_undoes_rotating_out_of_it(points: int | None) -> 
     for m, v, w in zip(matrix, vectors, world):
         torch.testing.assert_close(w, (m @ v.reshape(-1, 3).T).T.reshape(v.shape))
     torch.testing.assert_close(rotate_inverse(matrix, world), vectors, atol=1e-6, rtol=1e-5)
-
-
-def test_wrapped_angles_are_the_same_angles_within_half_a_turn() -> None:
-    angles = torch.linspace(-20, 20, 401)
-    wrapped = wrap_angle(angles)
-    assert (wrapped.abs() <= math.pi + 1e-6).all()
-    turns = (angles - wrapped) / (2 * math.pi)
-    torch.testing.assert_close(turns, turns.round(), atol=1e-5, rtol=0)

@@ -217,6 +217,7 @@ def test_steps_become_small_at_the_end() -> None:
     [
         (dict(final_kl=0.0), r"algorithm\.final_kl=0\.0 must be above 0"),
         (dict(final_kl=0.01, target_kl=None), r"algorithm\.final_kl=0\.01 needs algorithm\.target_kl"),
+        (dict(final_kl=0.02, target_kl=0.01), r"algorithm\.final_kl=0\.02 must be at most algorithm\.target_kl=0\.01"),
         (dict(settle=1.5), r"algorithm\.settle=1\.5 must be a share of the frames, at most 1"),
     ],
 )

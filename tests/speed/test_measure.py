@@ -72,8 +72,9 @@ def test_raw_physics_leaves_the_training_where_it_was(tmp_path: Path) -> None:
     assert not (left[-2] == left[-1]).all()
     timed = workload.training(0.0)
     assert timed.keys() == {"collect", "learn", "train"}
-    assert {steps for steps, _ in timed.values()} == {trainer.frames} == {32}
+    assert {steps for steps, _ in timed.values()} == {32}
     assert timed["collect"][1] + timed["learn"][1] <= timed["train"][1]
+    assert len(set(env.episode.step.tolist())) > 1  # the worlds are out of step with each other
     workload.close()
 
 
@@ -115,4 +116,6 @@ def test_settings_of_other_programs_are_refused() -> None:
         _check_program("train", ["bench.rounds=1"])
     with pytest.raises(ConfigError, match="checkpoint=latest: a setting of"):
         _check_program("bench", ["checkpoint=latest"])
+    with pytest.raises(ConfigError, match=r"torch_threads=1: a setting of skatemount\.train and bench only"):
+        _check_program("evaluate", ["torch_threads=1"])
     _check_program("bench", ["bench=quick", "init_from=null", "json=a.json", "output=b"])

@@ -12,7 +12,6 @@ import numpy as np
 
 LEGS = ("FR", "FL", "RR", "RL")
 LINKS = ("hip", "thigh", "calf")
-JOINT_NAMES = tuple(f"{leg}_{link}" for leg in LEGS for link in LINKS)
 
 # Ranges in rad. Front and rear legs are equal.
 JOINT_RANGES = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -108,9 +109,11 @@ class ObservationTable:
             frames, setting = (history_length, where.rpartition(".")[0]) if own is None else (own, f"{where}.{name}")
             if frames < 1:
                 raise ConfigError(f"{setting}.history_length={frames} must be 1, for the present alone, or more")
-            if term.noise < 0:
-                raise ConfigError(f"{where}.{name}.noise={term.noise} must be 0 or more")
-            if term.clip is not None and term.clip <= 0:
+            if not 0 <= term.noise < math.inf:
+                raise ConfigError(f"{where}.{name}.noise={term.noise} must be 0 or more, and finite")
+            if not math.isfinite(term.scale):
+                raise ConfigError(f"{where}.{name}.scale={term.scale} must be finite")
+            if term.clip is not None and not term.clip > 0:
                 raise ConfigError(f"{where}.{name}.clip={term.clip} must be above 0, or null for none")
             layout = OBSERVATIONS.attributes(name)
             self._blocks.append(_Block(name, term, layout.count(term.params), frames, layout.mirror))

@@ -117,7 +117,10 @@ class Physics(Protocol):
         ...
 
     def overflowed(self) -> str | None:
-        """What went wrong and what to raise if a buffer was too small and contacts were lost; none if all is well."""
+        """What went wrong and what to raise if a buffer was too small and contacts were lost since this was last asked.
+
+        None if all is well.
+        """
         ...
 
     def raw_state(self) -> Any:

@@ -66,6 +66,7 @@ class CpuPhysics:
         if (np.diff(dof) == 1).all():
             self._joint_dof = slice(int(dof[0]), int(dof[-1]) + 1)
         self._reader = StateReader(self.index)
+        self._lost_contacts = False
         self._batch.forward()
 
     def step(self, targets: Tensor, substeps: int) -> None:
@@ -79,6 +80,8 @@ class CpuPhysics:
         if not ids.size:
             return
         index, rows = self.index, start[torch.from_numpy(ids)]
+        # A reset clears the warnings of a world.
+        self._lost_contacts |= bool(self._warned(_OVERFLOWED)[ids].any())
         self._batch.reset(ids, stage=_NOTHING)
         qpos = self._qpos[ids]
         qpos[:, index.base_qpos] = torch.cat((rows.base_pos, rows.base_quat), -1).numpy()
@@ -128,8 +131,9 @@ class CpuPhysics:
         return torch.from_numpy(self._warned(_DIVERGED) | ~np.isfinite(self._qpos).all(-1))
 
     def overflowed(self) -> str | None:
-        """What to raise if contacts or constraints were dropped for want of memory."""
-        if self._warned(_OVERFLOWED).any():
+        """What to raise if contacts or constraints were dropped for want of memory; see `Physics.overflowed`."""
+        if self._lost_contacts or self._warned(_OVERFLOWED).any():
+            self._lost_contacts = False
             return f"MuJoCo dropped contacts: its memory for a world, {self.model.narena} bytes, was too small"
         return None
 
