@@ -233,16 +233,6 @@ def test_a_world_that_fails_is_flagged_until_its_reset(make_physics_and_starts) 
         torch.testing.assert_close(physics.state().base_pos[world], start.base_pos[world])
 
 
-def test_lost_contacts_are_told_even_of_a_world_that_has_started_anew(make_physics_and_starts) -> None:
-    physics, start = make_physics_and_starts()
-    physics.reset(everywhere(), start())
-    assert physics.overflowed() is None
-    physics._batch.warning[1, int(mujoco.mjtWarning.mjWARN_CONTACTFULL), 1] = 1
-    physics.reset(only(1), start())
-    assert "dropped contacts" in (physics.overflowed() or "")
-    assert physics.overflowed() is None
-
-
 def test_a_failed_world_leaves_the_others_alone(make_physics_and_starts) -> None:
     physics, starts = make_physics_and_starts()
     start = starts()
