@@ -4,7 +4,8 @@
 
 * auto: stage unfixed with the automatic reverse curriculum, from nothing;
 * paper: the paper's chain of stages, from gait to unfixed, all within the same number of steps;
-* forward: starts anywhere within a metre from nothing, no curriculum, the baseline that the paper reports as failing.
+* forward: starts anywhere in a square of 2 x 2 m from nothing, no curriculum, the baseline that the paper reports as
+  failing.
 
 Networks and algorithm are the same for all: those of the automatic curriculum's settings. Checkpoints kept on the way
 are evaluated afterwards on the same suites from the same seeds, beside a fixed board and beside a free one. A last row
@@ -112,7 +113,7 @@ class Comparison:
         if run is not None and self.saved(run)[-1].frames >= self.frames:
             return
         if run is not None:
-            arguments = [f"resume={run.path}"]
+            arguments = [f"resume={run.path}", *self._logger(method)]
         else:
             name = [f"logger.name={method}_seed{seed}", "logger.experiment=compare"]
             root = f"logger.root={self.folder / 'runs'}"

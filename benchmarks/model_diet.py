@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -47,6 +48,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "3 steps of 13.3 ms": {"timestep": 0.04 / 3, "substeps": 3},
     "2 steps of 20 ms": {"timestep": 0.02, "substeps": 2},
 }
+CONTROL_STEP = 0.04
+"""Seconds between two actions, in every variant."""
 EXACT = {"iterations": 200, "ls_iterations": 100, "tolerance": 1e-12, "timestep": 0.001, "substeps": 40}
 WARM_UP, RECORDED, APART = 20, 6, 12
 
@@ -132,6 +135,9 @@ def main() -> None:
     names = list(dict.fromkeys(["default", *options.variants]))
 
     config = Trial.of(agent, suite).configs[""]
+    control_step = config.physics.timestep * config.physics.substeps
+    if not math.isclose(control_step, CONTROL_STEP):
+        parser.error(f"{agent.name} acts every {control_step:g} s: the variants are those of {CONTROL_STEP} s")
     env = MountEnv(MountTask(config=config), num_worlds=options.worlds, seed=1)
     states = encountered(agent, env)
     env.close()

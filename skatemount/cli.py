@@ -18,9 +18,9 @@ from skatemount.config import Config
 from skatemount.errors import ConfigError
 
 _BELONGS_TO = {
-    **dict.fromkeys(("init_from", "grow", "total_frames", "precision", "torch_threads"), ("train", "bench")),
+    **dict.fromkeys(("init_from", "grow", "total_frames", "precision"), ("train", "bench")),
     **dict.fromkeys(("algorithm", "collector", "curriculum"), ("train", "bench")),
-    "resume": ("train",),
+    **dict.fromkeys(("resume", "torch_threads"), ("train",)),
     **dict.fromkeys(("checkpoint", "pipeline", "handover", "suite"), ("evaluate", "record")),
     "output": ("evaluate", "record", "bench"),
     "episodes": ("evaluate",),

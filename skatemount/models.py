@@ -71,11 +71,19 @@ class RunningNormalizer(nn.Module):
     Args:
         size: Values.
         clip: Bound on the normalised values.
+
+    Attributes:
+        mean: ``[size]``.
+        var: ``[size]``.
+        count: How many of each value it has seen.
+        behind: ``[size]``, how many fewer it has seen of a value that came later, with `take_over`. It matters in
+            training only, and is not saved with the network.
     """
 
     mean: Tensor
     var: Tensor
     count: Tensor
+    behind: Tensor
 
     def __init__(self, size: int, clip: float = 10.0):
         super().__init__()
@@ -83,7 +91,7 @@ class RunningNormalizer(nn.Module):
         self.register_buffer("mean", torch.zeros(size))
         self.register_buffer("var", torch.ones(size))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
-        self._unknown: Tensor | None = None
+        self.register_buffer("behind", torch.zeros(size, dtype=torch.float64), persistent=False)
 
     @torch.no_grad()
     def observe(self, values: Tensor, mirror: Mirror | None = None) -> None:
@@ -103,30 +111,27 @@ class RunningNormalizer(nn.Module):
             n, image = 2 * n, mirror(mean)
             var = (var + var[mirror.permutation]) / 2 + ((mean - image) / 2).square()
             mean = (mean + image) / 2
-        if self._unknown is not None:
-            self.mean[self._unknown], self.var[self._unknown] = mean[self._unknown], var[self._unknown]
-            self._unknown = None
-        total = self.count + n
-        share = (n / total).to(mean.dtype)
+        self.count.add_(n)
+        share = (n / (self.count - self.behind)).to(mean.dtype)
         shift = mean - self.mean
         self.var.copy_(self.var * (1 - share) + var * share + shift.square() * share * (1 - share))
         self.mean.add_(shift * share)
-        self.count.copy_(total)
 
     @torch.no_grad()
     def take_over(self, other: RunningNormalizer, places: Tensor) -> None:
         """Continue another one's statistics, as those of the values at the given places, ``[other's size]``.
 
-        All other values take theirs from what is observed next: the other one's count would hold them where they are.
+        All other values begin with what is observed next: the other one's count would hold them where they are.
         """
         self.mean[places], self.var[places] = other.mean, other.var
         self.count.copy_(other.count)
-        self._unknown = torch.ones_like(self.mean, dtype=torch.bool)
-        self._unknown[places] = False
+        self.behind.copy_(other.count.expand_as(self.behind))
+        self.behind[places] = other.behind
 
     def forget(self) -> None:
         """Let what is observed next replace what was observed so far, instead of adding to it."""
         self.count.zero_()
+        self.behind.zero_()
 
     def forward(self, values: Tensor) -> Tensor:
         """``[..., size]`` to the same, with mean 0 and deviation 1, clipped."""

@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.collectors import Collector
 
 from skatemount import checkpoint
@@ -33,7 +34,7 @@ from skatemount.errors import ConfigError
 from skatemount.loggers import MetricsLog, Progress, compact, plot_learning_curves
 from skatemount.losses.ppo import PPO
 from skatemount.memory import keep_freed_memory
-from skatemount.models import ActorCritic
+from skatemount.models import ActorCritic, RunningNormalizer
 from skatemount.runs import RunFolder, find_checkpoint
 from skatemount.symmetric import Mirror
 from skatemount.transfer import take_over
@@ -47,7 +48,7 @@ def set_up_process(config: Config) -> None:
 
 
 def resumed(config: Config, overrides: list[str]) -> Config:
-    """The settings of a run that goes on: what it saved, and from the command line how far to go.
+    """The settings of a run that goes on: what it saved, and what the command line changes in it.
 
     Args:
         config: As composed from the command line.
@@ -57,7 +58,7 @@ def resumed(config: Config, overrides: list[str]) -> Config:
         The same settings unless ``resume`` is set.
 
     Raises:
-        ConfigError: An override that cannot be changed in the middle of a run.
+        ConfigError: Nothing to go on with, or see `change_saved`.
     """
     if config.resume is None:
         return config
@@ -143,7 +144,7 @@ class Trainer:
             self.env.place_starts(self.curriculum.place)
         if config.curriculum.harvest:
             Harvest(self.env, config.curriculum.harvest)
-        self.frames = self.iteration = 0
+        self.frames = self.iteration = self._saved = 0
         self.elapsed = 0.0
         self._evaluator: Evaluator | None = None
         self._look_around = False
@@ -180,24 +181,31 @@ class Trainer:
     def _restore(self, folder: Path) -> None:
         """Take over everything that a checkpoint of the same run holds."""
         state = checkpoint.load_training_state(folder)
-        self.networks.load_state_dict(state["networks"])
-        self.ppo.load_state_dict(state["ppo"])
-        self.frames, self.iteration = state["frames"], state["iteration"]
-        self.elapsed = state["elapsed"]
-        if self.curriculum is not None:
-            self.curriculum.load_state_dict(state["curriculum"])
-            self.env.place_starts(self.curriculum.place)
         device = self.env.physics.device
         if (saved := state.get("device", device.type)) != device.type:
             raise ConfigError(
                 f"physics.device={device.type}: {folder} was trained on {saved}, and goes on there only; else use "
                 "init_from"
             )
+        self.networks.load_state_dict(state["networks"])
+        for behind, saved in zip(self._behind(), state.get("behind", [])):
+            behind.copy_(saved)
+        self.ppo.load_state_dict(state["ppo"])
+        self.frames, self.iteration = state["frames"], state["iteration"]
+        self._saved = self.frames
+        self.elapsed = state["elapsed"]
+        if self.curriculum is not None:
+            self.curriculum.load_state_dict(state["curriculum"])
+            self.env.place_starts(self.curriculum.place)
         set_rng_state(state["torch_rng"], device)
         self._order.set_state(state["order_rng"])
         self.env.generator.set_state(state["env_rng"])
         self.ppo.calm_down(self.frames, self.config.total_frames)
         self.started_from = str(folder)
+
+    def _behind(self) -> list[Tensor]:
+        """What the normalisers know besides what is saved with the networks."""
+        return [each.behind for each in self.networks.normalizers if isinstance(each, RunningNormalizer)]
 
     def describe(self) -> str:
         """What is trained, where from and where to, two lines."""
@@ -217,7 +225,7 @@ class Trainer:
         Raises:
             ConfigError: Nothing is left to train, or another process is training in the same run folder.
             FloatingPointError: Something is not finite any more; the last checkpoint is from before that.
-            KeyboardInterrupt: Ctrl-C or SIGTERM; there is a checkpoint of the last whole iteration.
+            KeyboardInterrupt: Ctrl-C or SIGTERM; what was trained, but for the first iteration, is in a checkpoint.
         """
         if self.frames >= self.config.total_frames:
             raise ConfigError(
@@ -253,7 +261,7 @@ class Trainer:
                         break
             except KeyboardInterrupt:
                 # What is saved already has perhaps been evaluated, and half an iteration more does not make it better.
-                if self.frames and not checkpoint.is_checkpoint(self.run.checkpoint(self.frames)):
+                if self.frames != self._saved:
                     self.save({})
                 raise
 
@@ -342,6 +350,7 @@ class Trainer:
         card = make_card(self.config, self.task, self.frames, metrics)
         state: dict[str, Any] = {
             "networks": dict(self.networks.state_dict()),
+            "behind": self._behind(),
             "ppo": self.ppo.state_dict(),
             "frames": self.frames,
             "iteration": self.iteration,
@@ -356,6 +365,7 @@ class Trainer:
         checkpoint.save_checkpoint(folder, {MODULE: self.networks}, card, state)
         self.run.mark_checkpoint(folder, score)
         checkpoint.keep_last(self.run.checkpoints, self.config.logger.keep_checkpoints, protect=self.run.best)
+        self._saved = self.frames
 
     def close(self) -> None:
         """Stop the engines."""
@@ -371,7 +381,7 @@ def gate_reached(gate: float | None, metrics: dict[str, Any]) -> bool:
 
 @contextmanager
 def termination_as_interrupt() -> Iterator[None]:
-    """Let a request to end (SIGTERM) end the run as Ctrl-C does: with a checkpoint."""
+    """Let a request to end (SIGTERM) end the run as Ctrl-C does."""
 
     def interrupt(signum: int, frame: Any) -> None:
         raise KeyboardInterrupt

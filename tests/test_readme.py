@@ -14,7 +14,7 @@ def blocks(path: Path) -> list[str]:
     return re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/usage.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/usage.md", "docs/results.md"])
 def test_examples_run(repo_root: Path, page: str, capsys: pytest.CaptureFixture[str]) -> None:
     examples = [code for code in blocks(repo_root / page) if "MountEnv(" in code]
     assert examples, f"{page} has no example of MountEnv"

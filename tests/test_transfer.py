@@ -15,7 +15,7 @@ from skatemount.config import compose
 from skatemount.contract import observation_contract
 from skatemount.errors import ConfigError
 from skatemount.models import ActorCritic
-from skatemount.training import Trainer
+from skatemount.training import Trainer, resumed
 
 SMALL = [*TINY, *SILENT, "init_from=null", "network.actor=[16,8]", "network.critic=[12,8]"]
 
@@ -105,6 +105,17 @@ def test_what_does_not_fit_in_is_one_line(
     assert text.startswith(f"init_from={small.path}: ") and "\n" not in text
     for part in expected:
         assert part in text
+
+
+def test_a_grown_run_that_goes_on_knows_what_is_new(small: Agent, tmp_path: Path) -> None:
+    trainer = grown(small, tmp_path, "+observation.policy.off_time={}")
+    trainer.save({})
+    given = [f"resume={trainer.run.path}"]
+    again = Trainer(resumed(compose(None, given), given))
+    again.close()
+    before, after = (each.networks.normalizers[0] for each in (trainer, again))
+    assert len(before.behind.unique()) == 2  # of the new values nothing is known, of the others all
+    assert torch.equal(after.behind, before.behind)
 
 
 def test_grows_only_when_asked(small: Agent, tmp_path: Path) -> None:

@@ -29,7 +29,10 @@ class Curriculum(Protocol):
     """
 
     def place(self, n: int, generator: torch.Generator) -> Placement:
-        """Draw ``n`` places to start at; what `Placement.bin` says comes back as the episode's ``bin``."""
+        """Draw ``n`` places to start at; what `Placement.bin` says comes back as the episode's ``bin``.
+
+        But for the first episodes of a training, which start in the middle: theirs is -1.
+        """
 
     def record(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
         """Learn from a step: the episodes ``[N]``, what the step led to, and which of them it ended."""

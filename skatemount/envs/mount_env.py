@@ -160,7 +160,7 @@ class MountEnv(EnvBase):
         if self._random_phase and not self._begun:
             most, here = self.mdp.context.episode_steps, self.device
             begun.step = torch.randint(most, (len(rows),), generator=self.generator, device=here)
-            # Nobody is to learn from how an episode ends that began in the middle.
+            # How an episode ends that began in the middle says nothing of the start that it would have had.
             begun.bin = torch.full_like(begun.bin, -1)
             self.statistics.leave_out()
         self._begun = True

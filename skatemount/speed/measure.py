@@ -157,8 +157,6 @@ def measure_point(config: Config, profile: bool = False) -> Point:
         before = memory_taken(device)
         workload = Workload(Trainer(config))
         try:
-            # What is done for the first time takes longer.
-            workload.training(0.0)
             after = memory_taken(device)
             # All rounds count: a shared machine has fast moments, and the best of each would compare one with another.
             done, took = dict.fromkeys(FIGURES, 0), dict.fromkeys(FIGURES, 0.0)

@@ -31,7 +31,8 @@ class Workload:
         self.trainer = trainer
         self._env = trainer.env
         self._iterations = trainer.iterations()
-        # The collector is made now, and resets the worlds: later, it would put them back into step with each other.
+        # What is done for the first time takes longer. And the collector is made now, which resets the worlds: later,
+        # it would put them back into step with each other.
         next(self._iterations)
         self._env.set_seed(trainer.config.seed)
         self._data: TensorDictBase = self._env.reset()

@@ -222,7 +222,7 @@ def _warp(scene: Scene, config: PhysicsConfig) -> Physics:
         from skatemount.envs.physics.warp import WarpPhysics
     except ImportError as error:
         raise ConfigError(
-            f"physics.engine=warp needs mujoco-warp and warp-lang ({error}): pip install 'mujoco-warp' 'warp-lang'"
+            f"physics.engine=warp needs mujoco-warp and warp-lang ({error}): pip install 'skatemount[warp]'"
         ) from error
     return WarpPhysics(scene, config.num_worlds, config.device, config.max_contacts, config.max_constraints)
 

@@ -134,6 +134,7 @@ class CpuPhysics:
         """What to raise if contacts or constraints were dropped for want of memory; see `Physics.overflowed`."""
         if self._lost_contacts or self._warned(_OVERFLOWED).any():
             self._lost_contacts = False
+            self._batch.warning[:, _OVERFLOWED, 1] = 0
             return f"MuJoCo dropped contacts: its memory for a world, {self.model.narena} bytes, was too small"
         return None
 

@@ -1,0 +1,50 @@
+"""The scripts under `benchmarks/` run and print what they say; never how fast anything is."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+
+def run(script: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, str(script), *arguments], capture_output=True, text=True, timeout=500)
+
+
+def test_environment_speed(repo_root: Path, tmp_path: Path) -> None:
+    options = ["--worlds", "8", "--seconds", "0.2", "--rounds", "1", "--json", str(tmp_path / "a.json")]
+    done = run(repo_root / "benchmarks" / "environment_speed.py", *options)
+    assert done.returncode == 0, done.stderr
+    rates = json.loads((tmp_path / "a.json").read_text())["steps_per_s"]
+    assert list(rates) == ["MountEnv", "ParallelEnv", "numpy loop"] and min(rates.values()) > 0
+    assert "MountEnv is 1.00 x this" in done.stdout
+
+
+def test_model_diet(repo_root: Path, tmp_path: Path) -> None:
+    options = [
+        "--worlds",
+        "8",
+        "--seconds",
+        "0.1",
+        "--rounds",
+        "1",
+        "--episodes",
+        "4",
+        "--json",
+        str(tmp_path / "a.json"),
+    ]
+    script = repo_root / "benchmarks" / "model_diet.py"
+    done = run(script, "checkpoint=pretrained:unfixed", "--variants", "3 steps of 13.3 ms", *options)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "a.json").read_text())
+    assert list(rows) == ["default", "3 steps of 13.3 ms"] and rows["default"]["speed"] == 1
+    # Fewer steps are farther from the exact solution, which is not far away.
+    assert rows["default"]["error_mm"][0] < rows["3 steps of 13.3 ms"]["error_mm"][0] < 20
+    assert "| 3 steps of 13.3 ms |" in done.stdout
+    refused = run(script, "checkpoint=pretrained:unfixed", "--suite", "other-boards", *options)
+    assert refused.returncode == 2 and "give one of a single task" in refused.stderr
