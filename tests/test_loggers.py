@@ -117,7 +117,7 @@ def test_a_metric_that_is_no_number_is_named(run: RunFolder) -> None:
 
 def test_missing_tensorboard_is_one_clear_line(run: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    with pytest.raises(ConfigError, match="tensorboard=True"):
+    with pytest.raises(ConfigError, match="logger.tensorboard=false"):
         MetricsLog(run)
 
 
