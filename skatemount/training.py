@@ -182,9 +182,9 @@ class Trainer:
         """Take over everything that a checkpoint of the same run holds."""
         state = checkpoint.load_training_state(folder)
         device = self.env.physics.device
-        if (saved := state.get("device", device.type)) != device.type:
+        if (there := state.get("device", device.type)) != device.type:
             raise ConfigError(
-                f"physics.device={device.type}: {folder} was trained on {saved}, and goes on there only; else use "
+                f"physics.device={device.type}: {folder} was trained on {there}, and goes on there only; else use "
                 "init_from"
             )
         self.networks.load_state_dict(state["networks"])

@@ -23,7 +23,7 @@ from skatemount.config import Config
 from skatemount.contract import check_contract
 from skatemount.errors import ConfigError
 
-NOT_THE_TASKS = (*("checkpoint", "pipeline", "handover", "suite", "episodes", "episode", "json", "output", "seed"),)
+NOT_THE_TASKS = ("checkpoint", "pipeline", "handover", "suite", "episodes", "episode", "json", "output", "seed")
 """Settings of the verbs themselves."""
 
 _MACHINE = ("engine", "device", "threads", "max_contacts", "max_constraints")

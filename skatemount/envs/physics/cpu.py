@@ -81,7 +81,7 @@ class CpuPhysics:
             return
         index, rows = self.index, start[torch.from_numpy(ids)]
         # A reset clears the warnings of a world.
-        self._lost_contacts |= bool(self._warned(_OVERFLOWED)[ids].any())
+        self._lost_contacts |= bool(self._warned(_OVERFLOWED, ids).any())
         self._batch.reset(ids, stage=_NOTHING)
         qpos = self._qpos[ids]
         qpos[:, index.base_qpos] = torch.cat((rows.base_pos, rows.base_quat), -1).numpy()
@@ -163,7 +163,7 @@ class CpuPhysics:
         """Stop the threads and free the worlds."""
         del self._batch
 
-    def _warned(self, kinds: list[int]) -> np.ndarray:
-        """``[N]`` bool, worlds with a warning of these kinds since their last reset."""
+    def _warned(self, kinds: list[int], worlds: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Bool for each of the worlds, all by default: whether it had a warning of these kinds since its last reset."""
         # Each warning is a pair: what it was last about, and how often it was raised.
-        return (self._batch.warning[:, kinds, 1] > 0).any(-1)
+        return (self._batch.warning[worlds][:, kinds, 1] > 0).any(-1)
