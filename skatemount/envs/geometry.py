@@ -109,7 +109,7 @@ def rotate(matrix: Tensor, vectors: Tensor) -> Tensor:
         The same shape, in the world.
     """
     if vectors.dim() == matrix.dim() - 1:
-        return (matrix * vectors.unsqueeze(-2)).sum(-1)
+        return (matrix @ vectors.unsqueeze(-1)).squeeze(-1)
     return vectors @ matrix.transpose(-1, -2)
 
 
@@ -124,7 +124,7 @@ def rotate_inverse(matrix: Tensor, vectors: Tensor) -> Tensor:
         The same shape, in the frame.
     """
     if vectors.dim() == matrix.dim() - 1:
-        return (matrix * vectors.unsqueeze(-1)).sum(-2)
+        return (vectors.unsqueeze(-2) @ matrix).squeeze(-2)
     return vectors @ matrix
 
 
@@ -149,7 +149,7 @@ def facing(rotation: Tensor, before: Tensor | None = None) -> Tensor:
     return torch.where(ahead * before < -ACROSS, -before, before)
 
 
-def beyond_rectangle(xy: Tensor, half: tuple[float, float]) -> Tensor:
+def beyond_rectangle(xy: Tensor, half: tuple[float, float]) -> tuple[Tensor, Tensor]:
     """How far points are outside a rectangle about the origin along each axis, negative inside.
 
     Args:
@@ -157,6 +157,6 @@ def beyond_rectangle(xy: Tensor, half: tuple[float, float]) -> Tensor:
         half: Half length (x) and half width (y), m.
 
     Returns:
-        ``[..., 2]`` m.
+        ``[...]`` m along x, and along y.
     """
-    return torch.stack((xy[..., 0].abs() - half[0], xy[..., 1].abs() - half[1]), -1)
+    return xy[..., 0].abs() - half[0], xy[..., 1].abs() - half[1]

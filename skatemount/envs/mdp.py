@@ -112,7 +112,8 @@ class Mdp:
         fresh.on_deck = on_deck
         fresh.facing = facing(sim.board_rot_base)
         fresh.off_time = torch.where(on_deck, 0.0, torch.inf)
-        fresh.touching = on_deck | success.feet_elsewhere(sim)
+        elsewhere = success.feet_elsewhere(sim)
+        fresh.touching, fresh.elsewhere = on_deck | elsewhere, elsewhere.any(1)
         fresh.distance, fresh.previous_distance = distance, distance.clone()
         fresh.first_contact = torch.where(on_deck.any(1), 0.0, torch.inf)
         relative = sim.board_rot.transpose(-1, -2)
@@ -142,7 +143,9 @@ class Mdp:
         episode.previous_distance = episode.distance
         episode.distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
         on_deck = success.feet_on_deck(sim)
-        touching = on_deck | success.feet_elsewhere(sim)
+        elsewhere = success.feet_elsewhere(sim)
+        touching = on_deck | elsewhere
+        episode.elsewhere = elsewhere.any(1)
         episode.touchdown = touching & ~episode.touching
         episode.touching = touching
         episode.on_deck = on_deck
@@ -151,8 +154,8 @@ class Mdp:
         velocity = torch.linalg.vector_norm(sim.base_lin_vel[:, :2] - episode.command[:, :2], dim=-1)
         turn = (sim.base_ang_vel[:, 2] - episode.command[:, 2]).abs()
         episode.command_error = episode.command_error + torch.stack((velocity, turn), 1)
-        episode.mounted = success.is_mounted(sim, episode.off_time)
-        near = success.nearly_mounted(sim, self.context.deck_half, self.context.foot_radius)
+        episode.mounted = success.is_mounted(sim, episode.off_time, episode.elsewhere)
+        near = success.nearly_mounted(sim, episode.elsewhere, self.context.deck_half, self.context.foot_radius)
         episode.steadiness = torch.lerp(near, episode.steadiness, self._fade)
         episode.mounted_time = torch.where(episode.mounted, episode.mounted_time + step, 0.0)
         elapsed = torch.where(on_deck.any(1), episode.step * step, math.inf)

@@ -145,19 +145,20 @@ class Randomizer:
         if changed:
             physics.refresh_constants()
 
-    def new_episodes(self, physics: ModelFields, mask: Tensor) -> None:
+    def new_episodes(self, physics: ModelFields, rows: Tensor) -> None:
         """Draw what is drawn at each reset: gains.
 
         Args:
             physics: The worlds.
-            mask: ``[N]`` bool, the worlds that start anew.
+            rows: ``[K]`` int64, the worlds that start anew.
         """
         c = self.config
         if c.kp == _one() and c.kd == _one():
             return
         gain, nominal = self._field(physics, "actuator_gainprm")
-        kp, kd = (torch.exp(self._uniform([math.log(b) for b in bounds], gain, 1)) for bounds in (c.kp, c.kd))
-        gain.copy_(torch.where(mask.view(-1, 1, 1), scale_gains(nominal.expand_as(gain), kp, kd), gain))
+        nominal = nominal.expand(len(rows), -1, -1)
+        kp, kd = (torch.exp(self._uniform([math.log(b) for b in bounds], nominal, 1)) for bounds in (c.kp, c.kd))
+        gain[rows] = scale_gains(nominal, kp, kd)
 
 
 class Pushes:

@@ -97,6 +97,8 @@ class Scene:
             solimp=WELD_SOLIMP,
             active=True,
         )
+        # For contacts and constraints, twenty times of what a fall needs: engines may keep it once a world.
+        root.size.memory = "1M"
         self._set_options(root)
         self._add_cameras()
         self._add_sensors(root)
@@ -151,10 +153,14 @@ class Scene:
         def add(kind: str, name: str, **kwargs: object) -> None:
             sensor.add(kind, name=name, **kwargs)
 
+        def add_axes(name: str, **kwargs: object) -> None:
+            for i, axis in enumerate("xyz"):
+                add(f"frame{axis}axis", f"{name}_axes_{i}", **kwargs)
+
         base = dict(objtype="site", objname=robot.imu)
         deck = dict(objtype="site", objname=board.deck_site)
         add("framepos", "base_pos", **base)
-        add("framequat", "base_quat", **base)
+        add_axes("base", **base)
         add("velocimeter", "base_lin_vel", site=robot.imu)
         add("gyro", "base_ang_vel", site=robot.imu)
         for i, joint in enumerate(robot.joints):
@@ -163,14 +169,22 @@ class Scene:
             add("jointvel", f"joint_vel_{i}", joint=joint)
         for i, joint in enumerate(robot.joints):
             add("jointactuatorfrc", f"joint_torque_{i}", joint=joint)
-        for reference, suffix in ((None, ""), (board.deck_site, "_board")):
-            ref = {} if reference is None else dict(reftype="site", refname=reference)
+        # What the engine turns into a frame need not be turned for every world afterwards.
+        in_base = dict(reftype="site", refname=robot.imu)
+        in_board = dict(reftype="site", refname=board.deck_site)
+        for kind, name, reference in (
+            ("framepos", "foot_pos", {}),
+            ("framelinvel", "foot_vel", {}),
+            ("framepos", "foot_pos_base", in_base),
+            ("framepos", "foot_pos_board", in_board),
+            ("framelinvel", "foot_vel_board", in_board),
+        ):
             for i, foot in enumerate(robot.feet):
-                add("framepos", f"foot_pos{suffix}_{i}", objtype="site", objname=foot, **ref)
-            for i, foot in enumerate(robot.feet):
-                add("framelinvel", f"foot_vel{suffix}_{i}", objtype="site", objname=foot, **ref)
+                add(kind, f"{name}_{i}", objtype="site", objname=foot, **reference)
         add("framepos", "board_pos", **deck)
-        add("framequat", "board_quat", **deck)
+        add("framepos", "board_pos_base", **deck, **in_base)
+        add_axes("board_in_base", **deck, **in_base)
+        add_axes("board", **deck)
         add("framelinvel", "board_lin_vel", **deck)
         add("frameangvel", "board_ang_vel", **deck)
         for i, joint in enumerate(board.truck_joints):
@@ -192,7 +206,7 @@ class SceneIndex:
     """Names to ids and slices, for one compiled scene.
 
     Attributes:
-        sensors: Slice of the sensor array and shape a world, by `SimState` field.
+        sensors: Slice of the sensor array and shape a world, by `SimState` field or what it is made of.
         bodies: Robot body of each row of ``body_force``, as an index into `body_names`.
         body_names: Robot bodies other than the feet.
         joint_qpos: Addresses of the 12 joints in ``qpos``.
@@ -248,11 +262,12 @@ class SceneIndex:
             assert [int(p.adr[0]) for p in parts] == [start + i * dim for i in range(count)]
             return slice(start, start + count * dim), (count,) if dim == 1 else (count, dim)
 
-        sensors = {n: sensor(n) for n in ("base_pos", "base_quat", "base_lin_vel", "base_ang_vel")}
-        sensors |= {n: sensor(n) for n in ("board_pos", "board_quat", "board_lin_vel", "board_ang_vel")}
+        sensors = {n: sensor(n) for n in ("base_pos", "base_lin_vel", "base_ang_vel")}
+        sensors |= {n: sensor(n) for n in ("board_pos", "board_pos_base", "board_lin_vel", "board_ang_vel")}
+        sensors |= {n: sensor(n, 3) for n in ("base_axes", "board_axes", "board_in_base_axes")}
         sensors |= {n: sensor(n, 12) for n in ("joint_pos", "joint_vel", "joint_torque")}
-        feet = ("foot_pos", "foot_vel", "foot_pos_board", "foot_vel_board", "foot_deck_force", "foot_force")
-        sensors |= {n: sensor(n, 4) for n in feet}
+        feet = ("foot_pos", "foot_vel", "foot_pos_base", "foot_pos_board", "foot_vel_board")
+        sensors |= {n: sensor(n, 4) for n in (*feet, "foot_deck_force", "foot_force")}
         sensors |= {"truck_angle": sensor("truck_angle", 2), "wheel_speed": sensor("wheel_speed", 4)}
         bodies = [
             (b, name, i) for b, (name, geoms) in enumerate(scene.robot.body_geoms.items()) for i in range(len(geoms))

@@ -327,16 +327,12 @@ class StartQueue:
         self._starts: WorldStart | None = None
         self._next = 0
 
-    def take(self, mask: Tensor) -> WorldStart:
-        """One start for each world of the mask.
+    def take(self, count: int) -> WorldStart:
+        """The next starts.
 
         Args:
-            mask: ``[N]`` bool.
-
-        Returns:
-            ``[N]`` starts; rows outside the mask are of no use.
+            count: How many.
         """
-        count = int(mask.sum())
         while self._starts is None or self._next + count > len(self._starts):
             more = self._sampler.draw(self._size, self._generator)
             if self._change is not None:
@@ -344,6 +340,6 @@ class StartQueue:
             # What is left is taken first: no start is skipped, whichever worlds ask for how many.
             self._starts = more if self._starts is None else WorldStart.cat([self._starts[self._next :], more])
             self._next = 0
-        rows = (self._next + mask.cumsum(0) - 1).clamp(0, len(self._starts) - 1)
+        taken = slice(self._next, self._next + count)
         self._next += count
-        return self._starts[rows]
+        return self._starts[taken]

@@ -12,7 +12,6 @@ import torch
 from tensordict import tensorclass
 from torch import Tensor
 
-from skatemount.envs.geometry import quat_to_matrix, rotate_inverse
 from skatemount.envs.scene import SceneIndex
 
 
@@ -93,7 +92,12 @@ class StateReader:
     """
 
     def __init__(self, index: SceneIndex, device: torch.device | None = None):
-        self._sensors = index.sensors
+        # In the order of the array, where they lie one after the other: it is split at once.
+        sensors = sorted(index.sensors.items(), key=lambda item: item[1][0].start)
+        self._names, self._shapes = [name for name, _ in sensors], [shape for _, (_, shape) in sensors]
+        self._sizes = [where.stop - where.start for _, (where, _) in sensors]
+        self._where = slice(sensors[0][1][0].start, sensors[-1][1][0].stop)
+        assert sum(self._sizes) == self._where.stop - self._where.start
         self._bodies = torch.as_tensor(index.bodies, device=device)
         self._num_bodies = len(index.body_names)
 
@@ -107,27 +111,26 @@ class StateReader:
             board_fixed: ``[N]`` bool, likewise.
         """
         n = sensordata.shape[0]
+        columns = sensordata[:, self._where].split(self._sizes, 1)
         parts = {
-            name: sensordata[:, where].unflatten(1, shape) if len(shape) > 1 else sensordata[:, where]
-            for name, (where, shape) in self._sensors.items()
+            name: values.view(n, *shape) if len(shape) > 1 else values
+            for name, values, shape in zip(self._names, columns, self._shapes)
         }
-        quats = torch.stack((parts.pop("base_quat"), parts.pop("board_quat")))
-        base_rot, board_rot = quat_to_matrix(quats).unbind()
-        base_pos, board_pos, foot_deck = parts["base_pos"], parts["board_pos"], parts["foot_deck_force"]
-        contact = torch.linalg.vector_norm(parts.pop("body_force"), dim=-1)
+        base_axes = parts.pop("base_axes")
+        x, y, z = parts.pop("body_force").unbind(-1)
+        contact = torch.sqrt(x * x + y * y + z * z)
         body_force = contact
         if contact.shape[1] != self._num_bodies:
             body_force = contact.new_zeros(n, self._num_bodies).index_add_(1, self._bodies, contact)
         return SimState(
-            base_rot=base_rot,
-            gravity=-base_rot[:, 2],
+            # An axis of a frame is a column of its rotation.
+            base_rot=base_axes.mT,
+            gravity=-base_axes[..., 2],
             joint_acc=joint_acc,
-            foot_pos_base=rotate_inverse(base_rot, parts["foot_pos"] - base_pos.unsqueeze(1)),
-            foot_other_force=parts.pop("foot_force") - foot_deck,
+            foot_other_force=parts.pop("foot_force") - parts["foot_deck_force"],
             body_force=body_force,
-            board_rot=board_rot,
-            board_pos_base=rotate_inverse(base_rot, board_pos - base_pos),
-            board_rot_base=base_rot.transpose(-1, -2) @ board_rot,
+            board_rot=parts.pop("board_axes").mT,
+            board_rot_base=parts.pop("board_in_base_axes").mT,
             ground_height=ground_height,
             board_fixed=board_fixed,
             **parts,
@@ -149,6 +152,7 @@ class EpisodeState:
             rate (rad/s).
         on_deck: ``[N, 4]`` bool, foot presses on the deck now.
         off_time: ``[N, 4]`` seconds since the foot last pressed on the deck.
+        elsewhere: ``[N]`` bool, a foot presses on anything that is not the deck now.
         touchdown: ``[N, 4]`` bool, the foot began to touch anything in this step.
         touching: ``[N, 4]`` bool, the foot touches anything now.
         steadiness: ``[N]`` share of the feet over the deck and close to it, none elsewhere, upright, averaged over
@@ -173,6 +177,7 @@ class EpisodeState:
     command_steps: Tensor
     command_error: Tensor
     on_deck: Tensor
+    elsewhere: Tensor
     off_time: Tensor
     touchdown: Tensor
     touching: Tensor
@@ -207,6 +212,7 @@ class EpisodeState:
             command_steps=f(n, dtype=torch.int64),
             command_error=f(n, 2),
             on_deck=f(n, 4, dtype=torch.bool),
+            elsewhere=f(n, dtype=torch.bool),
             off_time=full((n, 4), torch.inf),
             touchdown=f(n, 4, dtype=torch.bool),
             touching=f(n, 4, dtype=torch.bool),

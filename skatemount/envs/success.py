@@ -48,7 +48,7 @@ def deck_level(sim: SimState) -> Tensor:
     return sim.board_rot[:, 2, 2]
 
 
-def is_mounted(sim: SimState, off_time: Tensor) -> Tensor:
+def is_mounted(sim: SimState, off_time: Tensor, elsewhere: Tensor) -> Tensor:
     """Whether the robot stands on the board now, ``[N]`` bool.
 
     All four feet on the deck (each interrupted for at most 0.1 s), no foot on anything else, no other part of the
@@ -57,26 +57,29 @@ def is_mounted(sim: SimState, off_time: Tensor) -> Tensor:
     Args:
         sim: The state.
         off_time: ``[N, 4]`` seconds since each foot last pressed on the deck.
+        elsewhere: ``[N]`` bool, whether any of the `feet_elsewhere` is.
     """
     # A millisecond forgives float32's rounding of a sum of control steps.
-    feet = (off_time <= FLICKER + 1e-3).all(-1) & ~feet_elsewhere(sim).any(-1)
+    feet = (off_time <= FLICKER + 1e-3).all(-1) & ~elsewhere
     clean = ~body_contacts(sim).any(-1)
     level = (-sim.gravity[:, 2] > math.cos(MAX_TRUNK_TILT)) & (deck_level(sim) > math.cos(MAX_DECK_TILT))
     return feet & clean & level
 
 
-def nearly_mounted(sim: SimState, deck_half: tuple[float, float], foot_radius: float) -> Tensor:
+def nearly_mounted(sim: SimState, elsewhere: Tensor, deck_half: tuple[float, float], foot_radius: float) -> Tensor:
     """Share of the feet over the deck and at most 2 cm above it, 0 with a foot elsewhere or tilted, ``[N]``.
 
     Args:
         sim: The state.
+        elsewhere: ``[N]`` bool, whether any of the `feet_elsewhere` is.
         deck_half: Half length and half width of the deck, m.
         foot_radius: m.
     """
     position = sim.foot_pos_board
-    over = (beyond_rectangle(position, deck_half) < 0).all(-1)
-    near = over & (position[..., 2] > 0.0) & (position[..., 2] < foot_radius + 0.02)
-    sound = ~feet_elsewhere(sim).any(-1) & (-sim.gravity[:, 2] > math.cos(MAX_TRUNK_TILT))
+    beyond_x, beyond_y = beyond_rectangle(position, deck_half)
+    height = position[..., 2]
+    near = (beyond_x < 0) & (beyond_y < 0) & (height > 0.0) & (height < foot_radius + 0.02)
+    sound = ~elsewhere & (-sim.gravity[:, 2] > math.cos(MAX_TRUNK_TILT))
     return near.float().mean(-1) * sound
 
 

@@ -125,7 +125,7 @@ class MountTask(composer.Task):
         world = _SingleWorld(physics)
         randomizer = Randomizer(self.config.randomization, self._index, self._nominal, self._generator)
         randomizer.build_worlds(world)
-        randomizer.new_episodes(world, torch.ones(1, dtype=torch.bool))
+        randomizer.new_episodes(world, torch.zeros(1, dtype=torch.int64))
         self._pushes = Pushes(self.config.randomization, 1, self._mdp.context.control_step, self._generator)
         self.start(physics, self._sampler.draw(1, self._generator))
 

@@ -92,7 +92,7 @@ def watch(trainer: Trainer) -> Iterator[Stopwatch]:
         stopwatch.time(env.mdp, "privileged", "observation"),
         stopwatch.time(env.mdp, "rewards", "reward"),
         stopwatch.time(env.mdp, "advance", "episode"),
-        stopwatch.time(env, "_reset", "reset", whole=True),
+        stopwatch.time(env, "_restart", "reset", whole=True),
         stopwatch.time(trainer.networks.actor, "forward", "policy"),
         stopwatch.time(ppo, "_fill_values", "values and GAE"),
         stopwatch.time(ppo, "_gae", "values and GAE"),

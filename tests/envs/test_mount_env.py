@@ -148,6 +148,26 @@ def test_the_true_last_observation_of_an_episode_is_kept(make_env) -> None:
         assert (short[key][:, 10] != short["next", key][:, 9]).any(-1).all()
 
 
+def test_episodes_begin_anew_as_torchrl_begins_them(make_env, monkeypatch: pytest.MonkeyPatch) -> None:
+    fast = run(make_env("unfixed", 6, (*PUSHED, *SHORT)), 25)
+    assert fast["next", "done"].any()
+    monkeypatch.delattr(MountEnv, "maybe_reset")
+    assert_equal(fast, run(make_env("unfixed", 6, (*PUSHED, *SHORT)), 25))
+
+
+def test_what_is_handed_out_may_be_changed_and_differentiated(make_env) -> None:
+    env = make_env("balance", 3, SHORT)
+    td = env.reset()
+    for _ in range(12):  # past a reset
+        td["action"] = torch.zeros(3, 12)
+        step, td = env.step_and_maybe_reset(td)
+        for values in (step, td):
+            assert not any(value.is_inference() for value in values.values(True, True))
+    weight = torch.ones(3, 1, requires_grad=True)
+    (weight * step["next", "reward"]).sum().backward()
+    assert torch.equal(weight.grad, step["next", "reward"])
+
+
 def test_steps_of_a_rollout_share_no_memory(make_env) -> None:
     env = make_env("mount", 4, (*PUSHED, *SHORT))
     td = env.reset()

@@ -220,22 +220,18 @@ def test_the_queue_hands_out_every_start_in_the_order_of_drawing() -> None:
     task = MountTask(stage="mount")
     sampler = task.make_sampler()
 
-    def taken(masks: list[Tensor]) -> Tensor:
+    def taken(*counts: int) -> Tensor:
         queue = StartQueue(sampler, 16, torch.Generator().manual_seed(0))
-        return torch.cat([queue.take(mask).base_pos[mask] for mask in masks])
+        starts = [queue.take(count) for count in counts]
+        assert [len(start) for start in starts] == list(counts)
+        return torch.cat([start.base_pos for start in starts])
 
-    generator = torch.Generator().manual_seed(1)
-    some = [torch.rand(20, generator=generator) < 0.4 for _ in range(10)]
-    total = int(sum(mask.sum() for mask in some))
-    assert total > 3 * 16
-    one_by_one = [torch.nn.functional.one_hot(torch.tensor(i % 20), 20).bool() for i in range(total)]
-    assert torch.equal(taken(some), taken(one_by_one))
-    # A batch of more worlds than are drawn at a time gets its starts, too.
-    everyone = [torch.ones(20, dtype=torch.bool)]
-    assert torch.equal(taken(everyone), taken(one_by_one)[:20])
-    # Taking for no world takes nothing.
-    nobody = torch.zeros(20, dtype=torch.bool)
-    assert torch.equal(taken([nobody, *everyone, nobody]), taken(everyone))
+    some = (8, 3, 0, 12, 7, 9, 1, 11)
+    one_by_one = taken(*[1] * sum(some))
+    assert len(one_by_one.unique(dim=0)) == len(one_by_one) > 3 * 16
+    assert torch.equal(taken(*some), one_by_one)
+    # More than are drawn at a time are to be had, too.
+    assert torch.equal(taken(20), one_by_one[:20])
 
 
 def test_a_curriculum_may_leave_some_starts_to_the_stages_own_ranges() -> None:

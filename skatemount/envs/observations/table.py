@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs.mirror import mirror_map
-from skatemount.envs.random import uniform
+from skatemount.envs.random import coarse_noise
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import Registry, TaskContext
 from skatemount.errors import ConfigError
@@ -170,7 +170,7 @@ class ObservationTable:
         """What is seen now: noise, then clip, then scale."""
         values = torch.cat([f(sim, episode, self._context) for f in self._functions], -1)
         if generator is not None and self._noisy:
-            values = torch.addcmul(values, uniform(values.shape, generator, (-1.0, 1.0)), self._noise)
+            values = torch.addcmul(values, coarse_noise(values.shape, generator), self._noise)
         if self._clipped:
             values = values.clamp(-self._clip, self._clip)
         return values * self._scale

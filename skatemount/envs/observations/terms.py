@@ -88,17 +88,15 @@ def board_yaw(sim: SimState, episode: EpisodeState, context: TaskContext) -> Ten
     return torch.atan2(x_axis[:, 1], x_axis[:, 0]).remainder(2 * torch.pi).unsqueeze(-1)
 
 
-@functools.lru_cache(64)
-def outline_points(deck_half: tuple[float, float], points: int, device: torch.device | None = None) -> Tensor:
+def outline_points(deck_half: tuple[float, float], points: int) -> Tensor:
     """Points at equal arc length around the deck's top edge, from the middle of the front, leftwards.
 
     Args:
         deck_half: Half length and half width of the deck, m.
         points: How many.
-        device: Where they are wanted.
 
     Returns:
-        ``[points, 3]`` in the board frame, m; shared, not to be changed.
+        ``[points, 3]`` in the board frame, m.
     """
     half_x, half_y = deck_half
     corners = [(half_x, 0.0), (half_x, half_y), (-half_x, half_y), (-half_x, -half_y), (half_x, -half_y)]
@@ -109,11 +107,21 @@ def outline_points(deck_half: tuple[float, float], points: int, device: torch.de
     leg = torch.searchsorted(reached, s, right=True).clamp(1, len(length)) - 1
     part = ((s - reached[leg]) / length[leg]).unsqueeze(1)
     flat = path[leg] + part * (path[leg + 1] - path[leg])
-    return torch.cat((flat, torch.zeros(points, 1)), 1).to(device)
+    return torch.cat((flat, torch.zeros(points, 1)), 1)
 
 
-def _in_base_frame(sim: SimState, board_points: Tensor) -> Tensor:
-    return (board_points @ sim.board_rot_base.transpose(-1, -2) + sim.board_pos_base.unsqueeze(1)).flatten(1)
+def _carrier(points: Tensor) -> Tensor:
+    """What takes a board's axes and place, ``[9 + 3]``, to where its points are: ``[P, 3]`` m to ``[12, 3 P]``.
+
+    One product of two matrices is several times as fast as a small product in every world.
+    """
+    axes, place = torch.eye(3), torch.eye(3).repeat(1, len(points))
+    return torch.cat((torch.einsum("ik,pj->ijpk", axes, points).reshape(9, -1), place))
+
+
+def _carry(sim: SimState, axes: Tensor, carrier: Tensor) -> Tensor:
+    """Points of the board in the trunk frame, ``[N, 3 P]`` m, for the board's axes in that frame, ``[N, 3, 3]``."""
+    return torch.cat((axes.flatten(1), sim.board_pos_base), 1) @ carrier
 
 
 @observation(lambda params: 3 * params.get("points", 16), "outline")
@@ -122,8 +130,12 @@ def outline(sim: SimState, episode: EpisodeState, context: TaskContext, points: 
 
     They begin in the middle of the end that the trunk faces.
     """
-    turned = outline_points(context.deck_half, points, episode.facing.device) * episode.facing.unsqueeze(-1)
-    return _in_base_frame(sim, turned)
+    return _carry(sim, sim.board_rot_base * _turn(episode), _outline(context.deck_half, points, sim.base_pos.device))
+
+
+@functools.lru_cache(64)
+def _outline(deck_half: tuple[float, float], points: int, device: torch.device) -> Tensor:
+    return _carrier(outline_points(deck_half, points)).to(device)
 
 
 @observation(72, None)
@@ -133,18 +145,18 @@ def outline_paper(sim: SimState, episode: EpisodeState, context: TaskContext) ->
     A walk around the deck in steps of 0.083 m, 12 mm above its top, that overshoots the corners as the paper's code
     does (its points on the short edges end 82 mm outside).
     """
-    return _in_base_frame(sim, _paper_points(context.deck_half, sim.base_pos.device))
+    return _carry(sim, sim.board_rot_base, _paper_outline(context.deck_half, sim.base_pos.device))
 
 
 @functools.lru_cache(64)
-def _paper_points(deck_half: tuple[float, float], device: torch.device) -> Tensor:
+def _paper_outline(deck_half: tuple[float, float], device: torch.device) -> Tensor:
     half_x, half_y = deck_half
     step = 0.083
     long_edge = [-half_x + step * i for i in range(8)]
     short_edge = [-half_y + step * (i + 1) for i in range(4)]
     points = [(x, -half_y) for x in long_edge] + [(half_x, y) for y in short_edge]
     points += [(-x, half_y) for x in long_edge] + [(-half_x, -y) for y in short_edge]
-    return torch.tensor([(x, y, 0.012) for x, y in points], device=device)
+    return _carrier(torch.tensor([(x, y, 0.012) for x, y in points])).to(device)
 
 
 @observation(12, "feet")
@@ -162,9 +174,12 @@ def feet_base_left_first(sim: SimState, episode: EpisodeState, context: TaskCont
 @observation(12, "feet")
 def feet_board(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Feet's centres in the board frame, its x axis toward the end that the trunk faces, ``[N, 12]`` m."""
-    sign = episode.facing
-    turn = torch.cat((sign, sign, torch.ones_like(sign)), -1)
-    return (sim.foot_pos_board * turn.unsqueeze(1)).flatten(1)
+    return (sim.foot_pos_board * _turn(episode)).flatten(1)
+
+
+def _turn(episode: EpisodeState) -> Tensor:
+    """Factor of the board's axes that turns x to the end that the trunk faces, ``[N, 1, 3]``."""
+    return torch.nn.functional.pad(episode.facing.expand(-1, 2), (0, 1), value=1.0).unsqueeze(1)
 
 
 @observation(4, "flags")

@@ -79,7 +79,7 @@ class Physics(Protocol):
 
         Args:
             mask: ``[N]`` bool.
-            start: One start a world; rows outside the mask are ignored.
+            start: One start for each of them, in order.
         """
         ...
 

@@ -17,7 +17,6 @@ from skatemount.envs.state import SimState, StateReader
 
 _POSITION_AND_VELOCITY = mujoco.mjtStage.mjSTAGE_VEL.value
 _EVERYTHING = mujoco.mjtStage.mjSTAGE_ACC.value
-_NOTHING = mujoco.mjtStage.mjSTAGE_NONE.value
 # Warnings after which MuJoCo puts a world back to the model's default state.
 _DIVERGED = [
     int(w)
@@ -54,7 +53,9 @@ class CpuPhysics:
         self.index = SceneIndex.of(scene, self.model)
         self.threads = threads or available_cores()
         self.description = f"mujoco.batch, {self.threads} threads"
-        self._batch = Batch(self.model, num_worlds, self.threads)
+        # With memory of its own for every world, a step goes on from where the last one ended, instead of working out
+        # positions and velocities of its first substep anew.
+        self._batch = Batch(self.model, num_worlds, self.threads, persistent=True)
         bind = self._batch.bind
         self._qpos, self._qvel, self._qacc = bind("qpos"), bind("qvel"), bind("qacc")
         self._ctrl, self._wrench = bind("ctrl"), bind("xfrc_applied")
@@ -67,6 +68,7 @@ class CpuPhysics:
             self._joint_dof = slice(int(dof[0]), int(dof[-1]) + 1)
         self._reader = StateReader(self.index)
         self._lost_contacts = False
+        self._default = self._batch.state[0].copy()
         self._batch.forward()
 
     def step(self, targets: Tensor, substeps: int) -> None:
@@ -79,23 +81,22 @@ class CpuPhysics:
         ids = np.flatnonzero(mask.numpy())
         if not ids.size:
             return
-        index, rows = self.index, start[torch.from_numpy(ids)]
-        # A reset clears the warnings of a world.
+        index = self.index
         self._lost_contacts |= bool(self._warned(_OVERFLOWED, ids).any())
-        self._batch.reset(ids, stage=_NOTHING)
+        # What `Batch.reset` would do, which wipes all of a world's memory for it.
+        self._batch.state[ids], self._batch.warning[ids] = self._default, 0
         qpos = self._qpos[ids]
-        qpos[:, index.base_qpos] = torch.cat((rows.base_pos, rows.base_quat), -1).numpy()
-        qpos[:, index.joint_qpos] = rows.joint_pos.numpy()
+        qpos[:, index.base_qpos] = torch.cat((start.base_pos, start.base_quat), -1).numpy()
+        qpos[:, index.joint_qpos] = start.joint_pos.numpy()
         self._qpos[ids] = qpos
-        qvel = rows.board_speed.double().unsqueeze(1).numpy() * index.rolling
-        qvel[:, index.base_dof] = torch.cat((rows.base_lin_vel, rows.base_ang_vel), -1).numpy()
-        qvel[:, index.joint_dof] = rows.joint_vel.numpy()
+        qvel = start.board_speed.double().unsqueeze(1).numpy() * index.rolling
+        qvel[:, index.base_dof] = torch.cat((start.base_lin_vel, start.base_ang_vel), -1).numpy()
+        qvel[:, index.joint_dof] = start.joint_vel.numpy()
         self._qvel[ids] = qvel
-        self._ctrl[np.ix_(ids, index.actuators)] = rows.joint_pos.numpy()
-        self._wrench[ids, index.trunk_body] = torch.cat((rows.force, rows.torque), -1).numpy()
-        # A reset put these two back to the model's defaults.
-        self._weld[ids, index.weld] = rows.board_fixed.numpy()
-        self._mocap[ids, index.floor_mocap, 2] = rows.ground_height.numpy()
+        self._ctrl[np.ix_(ids, index.actuators)] = start.joint_pos.numpy()
+        self._wrench[ids, index.trunk_body] = torch.cat((start.force, start.torque), -1).numpy()
+        self._weld[ids, index.weld] = start.board_fixed.numpy()
+        self._mocap[ids, index.floor_mocap, 2] = start.ground_height.numpy()
         # To the last stage: short of it, force sensors would show what another world left behind.
         self._batch.forward(ids, stage=_EVERYTHING)
 

@@ -108,22 +108,22 @@ class WarpPhysics:
 
     def reset(self, mask: Tensor, start: WorldStart) -> None:
         """Put the chosen worlds into start states; see `Physics.reset`."""
-        index, n = self.index, self.num_worlds
-        qpos = self._qpos0.repeat(n, 1)
+        index, rows = self.index, mask.nonzero().squeeze(1)
+        qpos = self._qpos0.repeat(len(rows), 1)
         qpos[:, index.base_qpos] = torch.cat((start.base_pos, start.base_quat), -1)
         qpos[:, self._joint_qpos] = start.joint_pos
         qvel = start.board_speed.unsqueeze(1) * self._rolling
         qvel[:, index.base_dof] = torch.cat((start.base_lin_vel, start.base_ang_vel), -1)
         qvel[:, self._joint_dof] = start.joint_vel
-        fresh = {name: torch.zeros_like(value) for name, value in self._state.items()}
+        fresh = {name: torch.zeros_like(value[rows]) for name, value in self._state.items()}
         fresh |= {"qpos": qpos, "qvel": qvel}
         fresh["ctrl"][:, self._actuators] = start.joint_pos
         fresh["xfrc_applied"][:, index.trunk_body] = torch.cat((start.force, start.torque), -1)
         fresh["eq_active"][:, index.weld] = start.board_fixed
-        fresh["mocap_pos"][:] = self._state["mocap_pos"]
+        fresh["mocap_pos"] = self._state["mocap_pos"][rows]
         fresh["mocap_pos"][:, index.floor_mocap, 2] = start.ground_height
         for name, value in self._state.items():
-            value.copy_(_choose(mask, fresh[name], value))
+            value[rows] = fresh[name]
         self._failed &= ~mask
         # What the other worlds' last step left is kept: a state is that of a step, not of a reset elsewhere.
         left = [(each, each.clone()) for each in (self._sensordata, self._qacc, self._state["qacc_warmstart"])]

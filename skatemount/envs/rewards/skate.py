@@ -49,7 +49,7 @@ def mounted(sim: SimState, episode: EpisodeState, context: TaskContext, ramp: fl
 @reward
 def all_feet_on_board(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """1 while all four feet press on the deck and none on anything else (ours; a shin on the deck does not void it)."""
-    alone = episode.on_deck.all(-1) & ~success.feet_elsewhere(sim).any(-1)
+    alone = episode.on_deck.all(-1) & ~episode.elsewhere
     return alone.to(sim.base_pos.dtype)
 
 
@@ -70,14 +70,13 @@ def feet_proximity(
         margin: How far inside the edge a foot should stand, m.
     """
     position, (half_x, half_y) = sim.foot_pos_board, context.deck_half
-    beyond = beyond_rectangle(position, (half_x - margin, half_y - margin))
-    outside = torch.linalg.vector_norm(beyond.clamp(min=0), dim=-1)
+    beyond_x, beyond_y = beyond_rectangle(position, (half_x - margin, half_y - margin))
+    outside = torch.hypot(beyond_x.clamp(min=0), beyond_y.clamp(min=0))
     height = position[..., 2] - context.foot_radius
-    below = (-height).clamp(min=0)
     # Out to the nearest edge: how deep the foot is inside the outline, as a positive number.
-    depth = (-beyond).clamp(min=0).amin(-1)
-    detour = torch.where(height < -context.foot_radius, depth, torch.zeros_like(depth))
-    return torch.exp(-(outside + below + detour + height.clamp(min=0)) / scale).mean(-1)
+    depth = -torch.maximum(beyond_x, beyond_y).clamp(max=0)
+    detour = torch.where(height < -context.foot_radius, depth, 0.0)
+    return torch.exp(-(outside + detour + height.abs()) / scale).mean(-1)
 
 
 @reward
@@ -164,8 +163,8 @@ def feet_near_edge(
         half_width: Of the rectangle, m.
         half_length: Of the rectangle, m.
     """
-    beyond = beyond_rectangle(sim.foot_pos_board, (half_length, half_width)).clamp(min=0)
-    return (beyond.sum(-1) * episode.on_deck).sum(-1)
+    beyond_x, beyond_y = beyond_rectangle(sim.foot_pos_board, (half_length, half_width))
+    return ((beyond_x.clamp(min=0) + beyond_y.clamp(min=0)) * episode.on_deck).sum(-1)
 
 
 @penalty
