@@ -181,8 +181,7 @@ class MountEnv(EnvBase):
             self._begun = True
             self._episode[rows] = begun  # type: ignore[index]  # Mypy does not see tensorclass's own.
             self._sim = None
-            observation, privileged = self.mdp.observe(sim, begun)
-        return rows, {"observation": observation, "privileged": privileged}
+            return rows, self._observe(sim, begun)
 
     def place_starts(self, place: Place) -> None:
         """Let a curriculum choose where starts are, from the next start that is drawn on.
@@ -211,29 +210,32 @@ class MountEnv(EnvBase):
         with torch_threads(self._torch_threads):
             # Several hundred small operations, which take a tenth less without what autograd keeps of each.
             with torch.inference_mode():
-                outcome, seen = self._advance(tensordict["action"])
+                outcome, seen, failed = self._advance(tensordict["action"])
             done = outcome.terminated | outcome.truncated
             for listener in self.listeners:
                 listener(self._episode, outcome, done)
+            # From here on, copies that anybody may change and differentiate.
+            # What a failed world shows may be of any size, and would stay in the running means of the networks.
+            values = {key: value.index_fill(0, failed, 0.0) for key, value in seen.items()}
             flags = {"done": done, "terminated": outcome.terminated, "truncated": outcome.truncated}
-            values = seen | {"success": outcome.succeeded, "reward": outcome.reward} | flags
-            # Copies that anybody may change and differentiate. With a device, or `EnvBase` would copy them again.
-            values = {key: value.reshape(self.num_worlds, -1).clone() for key, value in values.items()}
+            for key, value in {"success": outcome.succeeded, "reward": outcome.reward, **flags}.items():
+                values[key] = value.clone().unsqueeze(1)
+            # Without a device, `EnvBase` would copy all of it once more.
             return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
-    def _advance(self, action: Tensor) -> tuple[Outcome, dict[str, Tensor]]:
-        """One control step: what it led to, and what is seen then."""
+    def _advance(self, action: Tensor) -> tuple[Outcome, dict[str, Tensor], Tensor]:
+        """One control step: what it led to, what is seen then, and the rows of the worlds whose physics failed."""
         if self._pushes.active:
             self.physics.push(*self._pushes.due())
         self.physics.step(self.mdp.targets(action), self._substeps)
         sim = self._sim = self.physics.state()
         diverged = self.physics.diverged()
         outcome = self.mdp.advance(sim, self._episode, action, diverged)
-        observation, privileged = self.mdp.observe(sim, self._episode)
-        # What a failed world shows may be of any size, and would stay in the running means of the networks.
-        failed = diverged.nonzero().squeeze(1)
-        seen = {"observation": observation, "privileged": privileged}
-        return outcome, {key: value.index_fill(0, failed, 0.0) for key, value in seen.items()}
+        return outcome, self._observe(sim, self._episode), diverged.nonzero().squeeze(1)
+
+    def _observe(self, sim: SimState, episode: EpisodeState) -> dict[str, Tensor]:
+        observation, privileged = self.mdp.observe(sim, episode)
+        return {"observation": observation, "privileged": privileged}
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """Stop the engine."""
