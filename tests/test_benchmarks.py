@@ -25,6 +25,15 @@ def test_environment_speed(repo_root: Path, tmp_path: Path) -> None:
     assert "MountEnv is 1.00 x this" in done.stdout
 
 
+def test_memory_of_worlds(repo_root: Path, tmp_path: Path) -> None:
+    options = ["--worlds", "4", "16", "--rounds", "1", "--json", str(tmp_path / "a.json")]
+    done = run(repo_root / "benchmarks" / "memory_of_worlds.py", *options)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "a.json").read_text())
+    assert [row["worlds"] for row in rows] == [4, 16] and min(row["speed"] for row in rows) > 0
+    assert done.stdout.count("with memory of their own") == 2
+
+
 def test_model_diet(repo_root: Path, tmp_path: Path) -> None:
     options = [
         "--worlds",

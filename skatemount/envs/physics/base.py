@@ -52,8 +52,7 @@ class PhysicsConfig(SolverConfig):
 class Physics(Protocol):
     """N worlds of one scene.
 
-    Tensors are float32 unless said otherwise, and full-batch: a mask chooses worlds, so that shapes never depend on
-    data.
+    Tensors are float32 unless said otherwise, and of the whole batch, but for what begins anew in some worlds.
     """
 
     num_worlds: int

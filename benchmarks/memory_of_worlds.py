@@ -1,0 +1,108 @@
+"""What memory of its own for every world is worth, in one run: speed of `mujoco.batch` with it and without, and bytes.
+
+    python benchmarks/memory_of_worlds.py
+
+With one memory for each thread, a world's step begins by working out its positions and velocities anew; with one for
+each world, it goes on from those that the last step ended with. Both step the same states of a policy with the same
+targets, in turns, and must come to the same ones bit for bit. All rounds count.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import torch
+from mujoco.batch import Batch
+
+from skatemount.agent import Agent
+from skatemount.benchmark.evaluation import deterministic
+from skatemount.envs.mount_env import MountEnv
+from skatemount.envs.physics.cpu import available_cores
+from skatemount.envs.task import MountTask
+from skatemount.speed.measure import in_fresh_process
+
+SETTLE, STEPS = 50, 12
+STAGE = mujoco.mjtStage.mjSTAGE_VEL.value
+
+
+def trajectory(policy: str, worlds: int) -> tuple[mujoco.MjModel, np.ndarray, list[np.ndarray], np.ndarray, int]:
+    """The model, a state of every world, the targets of the control steps after it, their actuators, and substeps."""
+    agent = Agent.load(f"pretrained:{policy}")
+    env = MountEnv(MountTask(stage="unfixed"), num_worlds=worlds, random_phase=True)
+    data, targets = env.reset(), []
+    with deterministic():
+        for step in range(SETTLE + STEPS):
+            if step == SETTLE:
+                state = env.physics.raw_state()
+            data = agent.networks.actor(data)
+            if step >= SETTLE:
+                targets.append(env.mdp.targets(data["action"]).double().numpy())
+            _, data = env.step_and_maybe_reset(data)
+    found = env.physics.model, state, targets, env.physics.index.actuators, env.task.config.physics.substeps
+    env.close()
+    return found
+
+
+def bytes_per_world(model: mujoco.MjModel, worlds: int, persistent: bool) -> float:
+    """What this process grows by, in a process of its own."""
+    before = _taken()
+    batch = Batch(model, worlds, available_cores(), persistent=persistent)
+    batch.bind("sensordata")
+    batch.step(nstep=4, stage=STAGE)
+    return (_taken() - before) / worlds
+
+
+def _taken() -> int:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--policy", default="approach", help="a shipped policy of the default observation")
+    parser.add_argument("--worlds", type=int, nargs="+", default=[64, 1024, 4096])
+    parser.add_argument("--rounds", type=int, default=8)
+    parser.add_argument("--json", type=Path, help="file for the figures")
+    options = parser.parse_args()
+    torch.manual_seed(0)
+    rows = []
+    for worlds in options.worlds:
+        model, start, targets, actuators, substeps = trajectory(options.policy, worlds)
+        batches = {kept: Batch(model, worlds, available_cores(), persistent=kept) for kept in (False, True)}
+        took = dict.fromkeys(batches, 0.0)
+        for round_ in range(options.rounds + 1):
+            for kept, batch in batches.items():
+                batch.bind("sensordata")
+                batch.state[:] = start
+                batch.forward()
+                for each in targets:
+                    batch.bind("ctrl")[:, actuators] = each
+                    begin = time.perf_counter()
+                    batch.step(nstep=substeps, stage=STAGE)
+                    if round_:  # the first warms up
+                        took[kept] += time.perf_counter() - begin
+        if not np.array_equal(batches[False].state, batches[True].state):
+            raise SystemExit("the two came to different states")
+        row = {"worlds": worlds, "speed": took[False] / took[True]}
+        row |= {
+            f"bytes_per_world_{name}": in_fresh_process(bytes_per_world, model, worlds, kept)
+            for name, kept in (("shared", False), ("own", True))
+        }
+        rows.append(row)
+        print(
+            f"{worlds:5d} worlds: {row['speed']:.3f} times as fast with memory of their own, which takes "
+            f"{row['bytes_per_world_own'] / 1024:.0f} KiB a world ({row['bytes_per_world_shared'] / 1024:.0f} without)",
+            flush=True,
+        )
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
