@@ -4,7 +4,7 @@
 
 With one memory for each thread, a world's step begins by working out its positions and velocities anew; with one for
 each world, it goes on from those that the last step ended with. Both step the same states of a policy with the same
-targets, in turns, and must come to the same ones bit for bit. All rounds count.
+targets, in turns, and must come to the same ones bit for bit. All rounds count but the first, which warms up.
 """
 
 from __future__ import annotations

@@ -109,7 +109,7 @@ def rotate(matrix: Tensor, vectors: Tensor) -> Tensor:
         The same shape, in the world.
     """
     if vectors.dim() == matrix.dim() - 1:
-        return (matrix @ vectors.unsqueeze(-1)).squeeze(-1)
+        return (matrix * vectors.unsqueeze(-2)).sum(-1)
     return vectors @ matrix.transpose(-1, -2)
 
 
@@ -124,7 +124,7 @@ def rotate_inverse(matrix: Tensor, vectors: Tensor) -> Tensor:
         The same shape, in the frame.
     """
     if vectors.dim() == matrix.dim() - 1:
-        return (vectors.unsqueeze(-2) @ matrix).squeeze(-2)
+        return (matrix * vectors.unsqueeze(-1)).sum(-2)
     return vectors @ matrix
 
 

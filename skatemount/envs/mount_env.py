@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase
 
 from skatemount.devices import torch_threads
 from skatemount.envs.mdp import Outcome
-from skatemount.envs.physics.base import Physics, make_physics
+from skatemount.envs.physics.base import Physics, WorldStart, make_physics
 from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.starts import Change, Place, StartQueue
 from skatemount.envs.state import EpisodeState, SimState
@@ -51,7 +51,8 @@ class MountEnv(EnvBase):
         task: The task.
         physics: The engine.
         statistics: What happened in the episodes that ended.
-        listeners: Called after every step with the episodes, what the step led to, and which episodes it ended.
+        listeners: Called after every step with the episodes, what the step led to, and which episodes it ended. They
+            copy what they keep of the episodes.
     """
 
     def __init__(
@@ -162,9 +163,12 @@ class MountEnv(EnvBase):
 
     def _restart(self, mask: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """Start new episodes in the worlds of a mask; their rows and what is seen there."""
-        rows = mask.nonzero().squeeze(1)
-        start = self._queue.take(len(rows))
-        with torch_threads(self._torch_threads), torch.inference_mode():
+        with torch_threads(self._torch_threads):
+            rows = mask.nonzero().squeeze(1)
+            return rows, self._begin(mask, rows, self._queue.take(len(rows)))
+
+    def _begin(self, mask: Tensor, rows: Tensor, start: WorldStart) -> dict[str, Tensor]:
+        with torch.inference_mode():
             self._randomizer.new_episodes(self.physics, rows)
             self.physics.reset(mask, start)
             if self._pushes.active:
@@ -181,7 +185,7 @@ class MountEnv(EnvBase):
             self._begun = True
             self._episode[rows] = begun  # type: ignore[index]  # Mypy does not see tensorclass's own.
             self._sim = None
-            return rows, self._observe(sim, begun)
+            return self._observe(sim, begun)
 
     def place_starts(self, place: Place) -> None:
         """Let a curriculum choose where starts are, from the next start that is drawn on.

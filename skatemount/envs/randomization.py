@@ -98,7 +98,7 @@ class Randomizer:
         self._generator = generator
 
     def _uniform(self, bounds: list[float], of: Tensor, *shape: int) -> Tensor:
-        """``[N, *shape]`` random numbers for a field of every world."""
+        """``[N, *shape]`` random numbers, one set for each row of a field."""
         return uniform((len(of), *shape), self._generator, bounds, torch.float64).to(of.dtype)
 
     def _field(self, physics: ModelFields, name: str) -> tuple[Tensor, Tensor]:

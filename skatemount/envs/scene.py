@@ -97,7 +97,7 @@ class Scene:
             solimp=WELD_SOLIMP,
             active=True,
         )
-        # For contacts and constraints, twenty times of what a fall needs: engines may keep it once a world.
+        # For contacts and constraints; the CPU engine reserves it once a world.
         root.size.memory = "1M"
         self._set_options(root)
         self._add_cameras()

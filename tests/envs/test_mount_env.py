@@ -166,6 +166,11 @@ def test_what_is_handed_out_may_be_changed_and_differentiated(make_env) -> None:
     weight = torch.ones(3, 1, requires_grad=True)
     (weight * step["next", "reward"]).sum().backward()
     assert torch.equal(weight.grad, step["next", "reward"])
+    # Copies of what is not handed out, too, whatever the terms keep for themselves.
+    sim, episode = env.sim.clone(), env.episode.clone()
+    sim.board_rot_base.requires_grad_()
+    env.mdp.observation(sim, episode).sum().backward()
+    assert sim.board_rot_base.grad.abs().sum() > 0
 
 
 def test_steps_of_a_rollout_share_no_memory(make_env) -> None:

@@ -97,7 +97,7 @@ class CpuPhysics:
         self._wrench[ids, index.trunk_body] = torch.cat((start.force, start.torque), -1).numpy()
         self._weld[ids, index.weld] = start.board_fixed.numpy()
         self._mocap[ids, index.floor_mocap, 2] = start.ground_height.numpy()
-        # To the last stage: short of it, force sensors would show what another world left behind.
+        # To the last stage: short of it, force sensors would show what the last episode left behind.
         self._batch.forward(ids, stage=_EVERYTHING)
 
     def push(self, mask: Tensor, velocity: Tensor) -> None:

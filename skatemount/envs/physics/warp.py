@@ -42,8 +42,8 @@ _LARGEST = 1e10
 class WarpPhysics:
     """Worlds stepped by mujoco_warp, in single precision.
 
-    The tensors of its state share Warp's memory. On a GPU the substeps are one CUDA graph, and nothing is copied to the
-    host.
+    The tensors of its state share Warp's memory. On a GPU the substeps are one CUDA graph, and no more is copied to
+    the host than which worlds are reset.
 
     Args:
         scene: The scene.
