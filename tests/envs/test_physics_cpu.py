@@ -42,6 +42,11 @@ class Loop:
             data.mocap_pos[index.floor_mocap, 2] = start.ground_height[i]
             mujoco.mj_forward(self.model, data)
 
+    def push(self, mask: Tensor, velocity: Tensor) -> None:
+        start = self.index.base_dof.start
+        for i in np.flatnonzero(mask):
+            self.worlds[i].qvel[start : start + 3] += velocity[i].numpy()
+
     def step(self, targets: Tensor) -> None:
         for data, target in zip(self.worlds, targets):
             data.ctrl[self.index.actuators] = target
@@ -125,6 +130,10 @@ def test_it_computes_bit_for_bit_what_a_loop_of_mj_step_does(make_physics_and_st
             np.testing.assert_array_equal(physics.raw_state(), loop.raw_state())
             assert_same(physics.state(), loop.state())
             nominal = torch.where(mask.unsqueeze(1), start.joint_pos, nominal)
+        if step % 5 == 0:
+            pushed, velocity = only(step % WORLDS), 0.3 * torch.randn(WORLDS, 3, generator=generator)
+            physics.push(pushed, velocity)
+            loop.push(pushed, velocity)
         targets = nominal + 0.3 * torch.randn(WORLDS, 12, generator=generator)
         physics.step(targets, SUBSTEPS)
         loop.step(targets)

@@ -126,6 +126,15 @@ def test_a_contact_may_flicker_for_a_tenth_of_a_second(sim: SimState) -> None:
         assert bool(is_mounted(sim, off, nowhere)) == fine
 
 
+def test_an_episode_knows_whether_a_foot_is_elsewhere(sim: SimState) -> None:
+    beside = sim.clone()
+    beside.foot_other_force[:, 2, 2] = 5.0
+    course = Course(beside)
+    assert course.episode.elsewhere.all() and not course.go(beside)
+    assert course.go(sim) and not course.episode.elsewhere.any()
+    assert not course.go(beside) and course.episode.elsewhere.all()
+
+
 def test_worlds_are_judged_one_by_one(sim: SimState) -> None:
     fallen = sim.clone()
     fallen.body_force[:, 0] = 50.0

@@ -113,7 +113,7 @@ def outline_points(deck_half: tuple[float, float], points: int) -> Tensor:
 def _carrier(points: Tensor, device: torch.device) -> Tensor:
     """What takes a board's axes, ``[9]``, to where its points are from its centre: ``[P, 3]`` m to ``[9, 3 P]``.
 
-    One product of two matrices is several times as fast as a small product in every world.
+    One product of two matrices is faster than a small product in every world.
     """
     # Kept for all to come, also for who differentiates.
     with torch.inference_mode(False):
