@@ -9,10 +9,9 @@ import torch
 from torch import Tensor
 
 from skatemount.envs import MountTask
-from skatemount.envs.physics import CpuPhysics, make_physics
-from skatemount.envs.physics.base import PhysicsConfig, WorldStart
+from skatemount.envs.physics import CpuPhysics
+from skatemount.envs.physics.base import WorldStart
 from skatemount.envs.state import SimState, StateReader
-from skatemount.errors import ConfigError
 
 FULL = mujoco.mjtState.mjSTATE_INTEGRATION
 WORLDS = 4
@@ -386,21 +385,3 @@ def test_a_world_can_be_looked_at_with_its_visuals(make_physics_and_starts) -> N
         np.testing.assert_allclose(data.site("a1/FL_foot").xpos, state.foot_pos[i, 1], atol=1e-6)
         np.testing.assert_allclose(data.site("board/deck").xpos, state.board_pos[i], atol=1e-6)
         np.testing.assert_allclose(data.mocap_pos[physics.index.floor_mocap, 2], state.ground_height[i], atol=1e-6)
-
-
-def test_the_engine_is_chosen_by_its_settings() -> None:
-    scene = MountTask(stage="mount").scene
-    physics = make_physics(scene, PhysicsConfig(num_worlds=3, threads=2))
-    assert isinstance(physics, CpuPhysics) and (physics.num_worlds, physics.threads) == (3, 2)
-    physics.close()
-    for settings, named in (
-        (PhysicsConfig(engine="gpu"), r"physics\.engine=gpu must be one of .*cpu"),
-        (PhysicsConfig(num_worlds=0), r"physics\.num_worlds=0"),
-        (PhysicsConfig(threads=-1), r"physics\.threads=-1"),
-        (PhysicsConfig(timestep=0.5), r"physics\.timestep=0\.5"),
-        (PhysicsConfig(solver="Gauss"), r"physics\.solver=Gauss.*Newton"),
-    ):
-        with pytest.raises(ConfigError, match=named):
-            make_physics(scene, settings)
-    with pytest.raises(ConfigError, match=r"physics\.num_worlds=-2"):
-        make_physics(scene, PhysicsConfig(), num_worlds=-2)
