@@ -232,7 +232,7 @@ class PPO:
         sums: dict[str, Tensor] = {}
         updates = 0
         for _ in range(self.config.epochs):
-            order = torch.randperm(flat.shape[0], generator=self._generator, device=flat.device)
+            order = torch.randperm(flat.shape[0], generator=self._generator, device=self._parameters[0].device)
             for rows in order.chunk(self.config.minibatches):
                 # Whole rows are copied; an index would go through their numbers one by one.
                 part = flat.apply(lambda values, rows=rows: values.index_select(0, rows), batch_size=[len(rows)])
