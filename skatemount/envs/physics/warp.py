@@ -26,6 +26,9 @@ DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_ac
 STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl", "xfrc_applied", "eq_active", "mocap_pos")
 """What integration goes on from."""
 
+RESULTS = ("sensordata", "qacc", "qacc_warmstart")
+"""What a step or a reset leaves of its forces, of which positions and velocities alone do not tell."""
+
 _TOO_SMALL = {
     mjw.OverflowType.NEFC: "max_constraints",
     mjw.OverflowType.NJMAX_NNZ: "max_constraints",
@@ -34,9 +37,85 @@ _TOO_SMALL = {
     mjw.OverflowType.CCD: "max_contacts",
     mjw.OverflowType.CONTACT_MATCH: "max_contacts",
 }
+_NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 _FORWARD = 0
+_FEW = 8
+"""Resets of up to one in so many worlds are computed by themselves; nearly all are of fewer."""
+_OF_A_SENSOR = 3
+"""A sensor adds up so many times fewer contacts than a world may have."""
 _LARGEST = 1e10
 """Beyond it MuJoCo gives a state up (mjMAXVAL)."""
+
+
+class _Worlds:
+    """So many worlds in Warp's memory, torch's views of them, and the CUDA graphs that step them."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        num_worlds: int,
+        device: torch.device,
+        contacts: int,
+        constraints: int,
+        spare: int = 0,
+    ):
+        self.num_worlds = num_worlds
+        self._device, self._place = device, wp.device_from_torch(device)
+        with wp.ScopedDevice(self._place):
+            self.model = mjw.put_model(model, dict.fromkeys((*RANDOMISED, *DERIVED), num_worlds))
+            # An overflow is found by `overflowed`; Warp would print a line a world and step.
+            self.model.opt.warn_overflow = 0
+            # For each sensor of each world, a block of threads comes to sort contacts, and goes, as sums need no order.
+            self.model.opt.contact_sensor_maxmatch = max(1, contacts // _OF_A_SENSOR)
+            self.model.block_dim.contact_sort = 32
+            self.data = mjw.make_data(model, num_worlds, naconmax=contacts * (num_worlds + spare), njmax=constraints)
+        self.fields = {name: wp.to_torch(getattr(self.model, name)) for name in (*RANDOMISED, *DERIVED)}
+        self.state = {name: wp.to_torch(getattr(self.data, name)) for name in STATE}
+        self.results = {name: wp.to_torch(getattr(self.data, name)) for name in RESULTS}
+        self.overflow = wp.to_torch(self.data.overflow)
+        self._graphs: dict[int, wp.Graph] = {}
+        self.launch(_FORWARD)
+
+    def launch(self, substeps: int) -> None:
+        """Do `_work`, on a GPU as a graph that is captured after the first time."""
+        if substeps in self._graphs:
+            wp.capture_launch(self._graphs[substeps], self._stream())
+            return
+        self.run(lambda: self._work(substeps))
+        if self._device.type == "cuda":
+            torch.cuda.synchronize(self._device)
+            with wp.ScopedDevice(self._place), wp.ScopedCapture() as capture:
+                self._work(substeps)
+            self._graphs[substeps] = capture.graph
+
+    def run(self, work: Callable[[], Any]) -> None:
+        """Run Warp's kernels in order with torch's."""
+        if self._device.type == "cpu":
+            with wp.ScopedDevice(self._place):
+                work()
+            return
+        with wp.ScopedStream(self._stream()):
+            work()
+
+    def _stream(self) -> wp.Stream:
+        return wp.stream_from_torch(torch.cuda.current_stream(self._device))
+
+    def _work(self, substeps: int) -> None:
+        """Physics steps, and then positions and velocities of what they led to; without steps, everything anew."""
+        model, data = self.model, self.data
+        if not substeps:
+            mjw.forward(model, data)
+            return
+        flags = model.opt.disableflags
+        for left in reversed(range(substeps)):
+            # Sensors are read after the last step alone, and contacts are sorted for them.
+            model.opt.disableflags = flags | _NO_SENSORS if left else flags
+            mjw.step(model, data)
+        # Forces stay those of the last step; contacts are found anew by the next.
+        mjw.fwd_kinematics(model, data)
+        mjw.sensor_pos(model, data)
+        mjw.fwd_velocity(model, data)
+        mjw.sensor_vel(model, data)
 
 
 class WarpPhysics:
@@ -66,17 +145,12 @@ class WarpPhysics:
         self._scene = scene
         wp.init()
         _say_if_it_has_to_compile()
-        self._place = wp.device_from_torch(self.device)
-        self.description = f"mujoco_warp on {self._place.name}"
-        with wp.ScopedDevice(self._place):
-            self._warp_model = mjw.put_model(self.model, dict.fromkeys((*RANDOMISED, *DERIVED), num_worlds))
-            # An overflow is found by `overflowed`; Warp would print a line a world and step.
-            self._warp_model.opt.warn_overflow = 0
-            self._data = mjw.make_data(self.model, num_worlds, nconmax=max_contacts, njmax=max_constraints)
-        data = self._data
-        self._state = {name: wp.to_torch(getattr(data, name)) for name in STATE}
-        self._sensordata, self._qacc = wp.to_torch(data.sensordata), wp.to_torch(data.qacc)
-        self._overflow = wp.to_torch(data.overflow)
+        self.description = f"mujoco_warp on {wp.device_from_torch(self.device).name}"
+        self._all = _Worlds(self.model, num_worlds, self.device, max_contacts, max_constraints)
+        # One world alone may have far more contacts than the average.
+        few, spare = max(1, num_worlds // _FEW), 8
+        self._few = _Worlds(self.model, few, self.device, max_contacts, max_constraints, spare)
+        self._state = self._all.state
         with self.device:
             self._failed = torch.zeros(num_worlds, dtype=torch.bool)
             self._qpos0 = torch.as_tensor(self.model.qpos0, dtype=torch.float32)
@@ -85,13 +159,11 @@ class WarpPhysics:
                 torch.as_tensor(ids) for ids in (self.index.joint_qpos, self.index.joint_dof, self.index.actuators)
             )
         self._reader = StateReader(self.index, self.device)
-        self._graphs: dict[int, wp.Graph] = {}
-        self._launch(_FORWARD)
 
     def step(self, targets: Tensor, substeps: int) -> None:
         """Advance every world; see `Physics.step`."""
         self._state["ctrl"][:, self._actuators] = targets
-        self._launch(substeps)
+        self._all.launch(substeps)
         self._give_up_what_failed()
 
     def _give_up_what_failed(self) -> None:
@@ -103,8 +175,8 @@ class WarpPhysics:
         qpos.copy_(_choose(failed, self._qpos0, qpos))
         for name in ("qvel", "qacc_warmstart", "ctrl"):
             self._state[name].masked_fill_(failed.unsqueeze(1), 0.0)
-        for each in (self._sensordata, self._qacc):
-            torch.nan_to_num_(each, 0.0, 0.0, 0.0)
+        for values in self._all.results.values():
+            torch.nan_to_num_(values, 0.0, 0.0, 0.0)
 
     def reset(self, mask: Tensor, start: WorldStart) -> None:
         """Put the chosen worlds into start states; see `Physics.reset`."""
@@ -125,11 +197,20 @@ class WarpPhysics:
         for name, value in self._state.items():
             value[rows] = fresh[name]
         self._failed &= ~mask
-        # What the other worlds' last step left is kept: a state is that of a step, not of a reset elsewhere.
-        left = [(each, each.clone()) for each in (self._sensordata, self._qacc, self._state["qacc_warmstart"])]
-        self._launch(_FORWARD)
-        for each, before in left:
-            each.copy_(_choose(mask, each, before))
+        # The other worlds keep what their last step left: a state is that of a step, not of a reset elsewhere.
+        if len(rows) > self._few.num_worlds:
+            left = {name: values.clone() for name, values in self._all.results.items()}
+            self._all.launch(_FORWARD)
+            for name, values in self._all.results.items():
+                values.copy_(_choose(mask, values, left[name]))
+            return
+        few, many = self._few, self._all
+        for here, there in ((few.fields, many.fields), (few.state, many.state)):
+            for name, values in here.items():
+                values[: len(rows)] = there[name][rows]
+        few.launch(_FORWARD)
+        for name, values in many.results.items():
+            values[rows] = few.results[name][: len(rows)]
 
     def push(self, mask: Tensor, velocity: Tensor) -> None:
         """Add to the trunk's velocity; see `Physics.push`."""
@@ -144,8 +225,8 @@ class WarpPhysics:
 
         state, index = self._state, self.index
         return self._reader.read(
-            copy(self._sensordata),
-            copy(self._qacc)[:, self._joint_dof],
+            copy(self._all.results["sensordata"]),
+            copy(self._all.results["qacc"])[:, self._joint_dof],
             copy(state["mocap_pos"][:, index.floor_mocap, 2]),
             copy(state["eq_active"][:, index.weld]),
         )
@@ -158,12 +239,12 @@ class WarpPhysics:
         """
         if name not in RANDOMISED:
             raise KeyError(f"{name} is not among the fields that differ from world to world: {', '.join(RANDOMISED)}")
-        return wp.to_torch(getattr(self._warp_model, name))
+        return self._all.fields[name]
 
     def refresh_constants(self) -> None:
         """Recompute what the model derives from masses and inertias."""
         before = self._state["qpos"].clone()
-        self._run(lambda: mjw.set_const(self._warp_model, self._data))
+        self._all.run(lambda: mjw.set_const(self._all.model, self._all.data))
         self._state["qpos"].copy_(before)
 
     def diverged(self) -> Tensor:
@@ -172,8 +253,9 @@ class WarpPhysics:
 
     def overflowed(self) -> str | None:
         """What to raise if contacts or constraints were dropped for want of memory, since it was last asked."""
-        seen = self._overflow.to("cpu", copy=True)
-        self._overflow.zero_()
+        seen = torch.cat([worlds.overflow for worlds in (self._all, self._few)]).cpu()
+        for worlds in (self._all, self._few):
+            worlds.overflow.zero_()
         for bit, setting in _TOO_SMALL.items():
             if lost := int(((seen & int(bit)) != 0).sum()):
                 return (
@@ -190,7 +272,7 @@ class WarpPhysics:
         """Restore what `raw_state` returned and compute everything that depends on it."""
         for name, value in state.items():
             self._state[name].copy_(value)
-        self._launch(_FORWARD)
+        self._all.launch(_FORWARD)
 
     @functools.cached_property
     def _visible(self) -> mujoco.MjModel:
@@ -203,46 +285,7 @@ class WarpPhysics:
 
     def close(self) -> None:
         """Free the worlds."""
-        self._graphs.clear()
-        del self._data, self._warp_model
-
-    def _work(self, substeps: int) -> None:
-        """Physics steps, and then positions and velocities of what they led to; without steps, everything anew."""
-        model, data = self._warp_model, self._data
-        if not substeps:
-            mjw.forward(model, data)
-            return
-        for _ in range(substeps):
-            mjw.step(model, data)
-        # Forces stay those of the last step; contacts are found anew by the next.
-        mjw.fwd_kinematics(model, data)
-        mjw.sensor_pos(model, data)
-        mjw.fwd_velocity(model, data)
-        mjw.sensor_vel(model, data)
-
-    def _run(self, work: Callable[[], Any]) -> None:
-        """Run Warp's kernels in order with torch's."""
-        if self.device.type == "cpu":
-            with wp.ScopedDevice(self._place):
-                work()
-            return
-        with wp.ScopedStream(self._stream()):
-            work()
-
-    def _stream(self) -> wp.Stream:
-        return wp.stream_from_torch(torch.cuda.current_stream(self.device))
-
-    def _launch(self, substeps: int) -> None:
-        """Do `_work`, on a GPU as a graph that is captured after the first time."""
-        if substeps in self._graphs:
-            wp.capture_launch(self._graphs[substeps], self._stream())
-            return
-        self._run(lambda: self._work(substeps))
-        if self.device.type == "cuda":
-            torch.cuda.synchronize(self.device)
-            with wp.ScopedDevice(self._place), wp.ScopedCapture() as capture:
-                self._work(substeps)
-            self._graphs[substeps] = capture.graph
+        del self._all, self._few, self._state
 
 
 def _say_if_it_has_to_compile() -> None:
