@@ -7,10 +7,8 @@ import ctypes
 import gc
 from collections.abc import Iterator
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+_TRIM_THRESHOLD, _MMAP_MAX = -1, -4
 """Parameters of glibc's ``mallopt``, from its ``malloc.h``."""
-LARGEST = 32 * 2**20
-"""Largest array whose memory is kept, bytes: glibc's own upper bound for this threshold."""
 
 
 def keep_freed_memory() -> None:
@@ -22,7 +20,8 @@ def keep_freed_memory() -> None:
     """
     with contextlib.suppress(AttributeError, OSError):
         mallopt = ctypes.CDLL(None).mallopt
-        mallopt(_MMAP_THRESHOLD, LARGEST)
+        # None is mapped by itself, and so none is unmapped: the threshold for that cannot be above 32 MiB.
+        mallopt(_MMAP_MAX, 0)
         mallopt(_TRIM_THRESHOLD, 2**31 - 1)
 
 

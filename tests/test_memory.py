@@ -10,12 +10,13 @@ from skatemount.memory import lasting_objects
 # NumPy asks for memory as it is; torch wants it aligned, which fits only after neighbours have been freed too.
 PAGE_FAULTS = """
 import resource
+import sys
 import numpy as np
 from skatemount.memory import keep_freed_memory
 
 def fresh_array():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-    np.empty(16_000_000, np.uint8).fill(1)
+    np.empty(int(sys.argv[1]), np.uint8).fill(1)
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
 fresh_array()
@@ -27,8 +28,10 @@ print(without, fresh_array())
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc is told")
-def test_memory_of_a_freed_array_is_the_next_ones_without_being_cleared_again():
-    result = subprocess.run([sys.executable, "-c", PAGE_FAULTS], capture_output=True, text=True, check=True)
+@pytest.mark.parametrize("size", [16 * 2**20, 256 * 2**20])
+def test_memory_of_a_freed_array_is_the_next_ones_without_being_cleared_again(size: int) -> None:
+    asked = [sys.executable, "-c", PAGE_FAULTS, str(size)]
+    result = subprocess.run(asked, capture_output=True, text=True, check=True)
     without, kept = map(int, result.stdout.split())
     assert without > 0
     assert kept == 0
