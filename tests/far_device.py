@@ -1,0 +1,201 @@
+"""A device called ``far``: it computes on the CPU, and refuses tensors that are not on it, as a GPU does.
+
+Run as a program it trains, saves, goes on and evaluates there, with mujoco_warp, and fails where something is left
+on the CPU. A program of its own, as torch keeps such a device until the process ends.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+import warp as wp
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_flatten, tree_map
+from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
+
+_aten = torch.ops.aten
+MIXING = (_aten.copy_.default, _aten._to_copy.default)
+"""What takes tensors from one device to another."""
+
+
+class _Module:
+    """What torch asks of a device's module."""
+
+    def is_available(self) -> bool:
+        return True
+
+    def is_initialized(self) -> bool:
+        return True
+
+    def device_count(self) -> int:
+        return 1
+
+    def current_device(self) -> int:
+        return 0
+
+    def _is_in_bad_fork(self) -> bool:
+        return False
+
+    def manual_seed_all(self, seed: int) -> None:
+        pass
+
+
+_setup_privateuseone_for_python_backend("far", backend_module=_Module())
+FAR = torch.device("far", 0)
+
+
+class FarTensor(Tensor):
+    """A tensor that says it is on the device, and has its numbers near."""
+
+    near: Tensor
+    __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]
+
+    @staticmethod
+    def __new__(cls, near: Tensor) -> FarTensor:
+        shape = {"strides": near.stride(), "storage_offset": near.storage_offset(), "dtype": near.dtype}
+        made = Tensor._make_wrapper_subclass(cls, near.size(), layout=near.layout, device=FAR, **shape)
+        made.near = near
+        return made
+
+    @classmethod
+    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        return _run(func, args, kwargs or {})
+
+    def __repr__(self, **_: Any) -> str:
+        return f"far {self.near}"
+
+    def tolist(self) -> Any:
+        return self.near.tolist()
+
+
+def _run(func: Any, args: Any, kwargs: Any) -> Any:
+    given, _ = tree_flatten((args, kwargs))
+    tensors = [each for each in given if isinstance(each, Tensor)]
+    asked = [each for each in given if isinstance(each, torch.device)]
+    is_far = any(isinstance(each, FarTensor) for each in tensors)
+    to_far = any(device.type == FAR.type for device in asked)
+    if not is_far and not to_far:
+        return func(*args, **kwargs)
+    moves = func in MIXING or str(func).startswith("aten.to.")
+    # A number in a tensor may come from anywhere.
+    left_behind = [each for each in tensors if not isinstance(each, FarTensor) and each.dim() > 0]
+    if is_far and left_behind and not moves:
+        shapes = [tuple(each.shape) for each in left_behind]
+        raise RuntimeError(f"{func}: with tensors of the device, it is given some of the CPU: {shapes}")
+
+    def as_near(value: Any) -> Any:
+        if isinstance(value, torch.device):
+            return torch.device("cpu")
+        return value.near if isinstance(value, FarTensor) else value
+
+    made = func(*tree_map(as_near, args), **tree_map(as_near, kwargs))
+    if asked and not to_far:
+        return made
+    returned, taken = func._schema.returns, func._schema.arguments
+    if len(returned) == 1 and returned[0].alias_info is not None and returned[0].alias_info.is_write:
+        at = next(i for i, each in enumerate(taken) if each.alias_info is not None and each.alias_info.is_write)
+        return args[at] if at < len(args) else kwargs[taken[at].name]
+    return tree_map(_as_far, made)
+
+
+def _as_far(value: Any) -> Any:
+    return FarTensor(value) if isinstance(value, Tensor) and not isinstance(value, FarTensor) else value
+
+
+class _Operations(TorchDispatchMode):
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        return _run(func, args, kwargs or {})
+
+
+class _Functions(TorchFunctionMode):
+    """What torch makes in C++ without asking the dispatcher."""
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        kwargs = dict(kwargs or {})
+        device = kwargs.get("device")
+        if func in (torch.tensor, torch.as_tensor) and device is not None and torch.device(device).type == FAR.type:
+            kwargs["device"] = args[0].device if isinstance(args[0], Tensor) else "cpu"
+            return func(*args, **kwargs).to(FAR)
+        if func is torch.unravel_index and isinstance(args[0], FarTensor):
+            return tuple(FarTensor(each) for each in func(args[0].near, *args[1:], **kwargs))
+        return func(*args, **kwargs)
+
+
+class _Generator(torch.Generator):
+    """A generator that says it is on the device."""
+
+    device = FAR  # type: ignore[assignment]
+
+
+@contextmanager
+def on_the_far_device() -> Iterator[None]:
+    """Let torch know the device, and mujoco_warp's memory be on it."""
+    from skatemount.envs.physics import warp
+
+    class Worlds(warp._Worlds):
+        def run(self, work: Any) -> None:
+            with wp.ScopedDevice("cpu"):
+                work()
+
+        def launch(self, substeps: int) -> None:
+            self.run(lambda: self._work(substeps))
+
+    to_torch, generator = wp.to_torch, torch.Generator
+    warp._Worlds = Worlds  # type: ignore[misc]
+    warp.choose_device = lambda name: FAR
+    wp.device_from_torch = lambda device: wp.get_device("cpu")
+    wp.to_torch = lambda array: FarTensor(to_torch(array))
+    torch.Generator = lambda device="cpu": _Generator() if torch.device(device) == FAR else generator(device)  # type: ignore
+    # Inference tensors have no version counter, which such a tensor needs.
+    torch.inference_mode = lambda *args, **kwargs: torch.no_grad()  # type: ignore[assignment,misc]
+    with _Functions(), _Operations():
+        yield
+
+
+def refuses_what_is_elsewhere() -> None:
+    """The device is as strict as it is to be."""
+    here, there = torch.ones(2), torch.ones(2, device=FAR)
+    assert (there + there.to(FAR) + 1.0).device == FAR and (there + there).to("cpu").tolist() == [2.0, 2.0]
+    try:
+        here + there
+    except RuntimeError as error:
+        assert "some of the CPU: [(2,)]" in str(error)
+    else:
+        raise AssertionError("tensors of two devices were added")
+
+
+def train(root: str) -> None:
+    """A training with all that has tensors of its own, resumed, and an evaluation of its policy."""
+    from tiny import TINY
+
+    from skatemount.benchmark.evaluation import Evaluator
+    from skatemount.config import compose
+    from skatemount.training import Trainer
+
+    asked = ["physics=warp", "+curriculum=auto", "physics.num_worlds=8", "collector.steps=20", f"logger.root={root}"]
+    config = compose("unfixed", [*TINY, *asked, "total_frames=320", "network.symmetric=true", "network.normalize=true"])
+    trainer = Trainer(config)
+    trainer.train()
+    assert trainer.frames == 320 and next(trainer.networks.parameters()).device == FAR
+    trainer.curriculum.draw(trainer.run.curriculum_png, "far")
+    config.resume, config.total_frames = str(trainer.run.checkpoint(320)), 480
+    trainer.close()
+    trainer = Trainer(config)
+    trainer.train()
+    assert trainer.frames == 480
+    evaluator = Evaluator(config, 8, seed=0)
+    assert evaluator.run(trainer.networks, 8).episodes == 8
+    evaluator.close()
+    trainer.close()
+
+
+if __name__ == "__main__":
+    with on_the_far_device():
+        refuses_what_is_elsewhere()
+        train(sys.argv[1])
