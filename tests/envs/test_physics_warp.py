@@ -38,8 +38,8 @@ TOLERANCES = {
 """What 95 of 100 numbers differ by at most. The others are robots that fall: there a rounding error grows."""
 
 
-def engine(name: str, task: MountTask, worlds: int = WORLDS) -> Physics:
-    return make_physics(task.scene, PhysicsConfig(engine=name, num_worlds=worlds, threads=1, device="cpu"))
+def engine(name: str, task: MountTask, worlds: int = WORLDS, device: str = "cpu") -> Physics:
+    return make_physics(task.scene, PhysicsConfig(engine=name, num_worlds=worlds, threads=1, device=device))
 
 
 @pytest.fixture
@@ -114,6 +114,27 @@ def test_a_hundred_steps_like_those_of_the_cpu_engine(task: MountTask, pair: tup
         assert difference(a[:3], b[:3], 0.99) <= most, name
     contacts = torch.stack([(a.foot_deck_force != 0).any(-1) == (b.foot_deck_force != 0).any(-1) for a, b in seen])
     assert float(contacts.float().mean()) > 0.98
+
+
+@pytest.mark.gpu
+def test_a_gpu_steps_and_resets_like_the_cpu_engine(task: MountTask) -> None:
+    gpu, cpu = engine("warp", task, device="cuda"), engine("cpu", task)
+    generator, nominal = torch.Generator().manual_seed(1), torch.zeros(WORLDS, 12)
+    for step in range(24):
+        if step % 8 == 0:
+            # All of them, and then so few that they are computed by themselves.
+            mask, start = everywhere() if step == 0 else only(step, n=WORLDS), starts(task, seed=step)
+            cpu.reset(mask, start[mask])
+            gpu.reset(mask.cuda(), WorldStart(**{name: value.cuda() for name, value in vars(start[mask]).items()}))
+            nominal = torch.where(mask.unsqueeze(1), start.joint_pos, nominal)
+        targets = nominal + 0.05 * torch.randn(WORLDS, 12, generator=generator)
+        cpu.step(targets, SUBSTEPS)
+        gpu.step(targets.cuda(), SUBSTEPS)
+        a, b = cpu.state(), gpu.state()
+        for name, most in TOLERANCES.items():
+            assert difference(a.get(name), b.get(name).cpu()) <= most, name
+    cpu.close()
+    gpu.close()
 
 
 def test_observations_and_rewards_are_the_cpu_engines() -> None:
@@ -249,9 +270,10 @@ def test_a_policy_succeeds_as_often_on_both_engines(capsys: pytest.CaptureFixtur
     torch.testing.assert_close(first, second, atol=1e-4, rtol=0)
 
 
-def test_a_training_on_it_and_its_bench(tmp_path: Path) -> None:
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
+def test_a_training_on_it_and_its_bench(tmp_path: Path, device: str) -> None:
     """The whole of a training, with curriculum and stuck starts, and the stopwatch, on this engine."""
-    asked = [*TINY, "physics=warp", "physics.device=cpu", "+curriculum=auto", f"logger.root={tmp_path}"]
+    asked = [*TINY, "physics=warp", f"physics.device={device}", "+curriculum=auto", f"logger.root={tmp_path}"]
     trainer = Trainer(compose("unfixed", [*asked, "total_frames=64"]))
     trainer.train()
     assert trainer.frames == 64
