@@ -15,14 +15,16 @@ def keep_freed_memory() -> None:
     """Let the C library keep the memory of freed arrays for the next ones, instead of giving it back to the system.
 
     Learning makes and drops arrays of some megabytes all the time. Memory that comes from the system anew is cleared
-    page by page as it is first touched, which can take longer than what is computed in it. Elsewhere than in glibc,
-    nothing happens.
+    page by page as it is first touched, which can take longer than what is computed in it. The process's memory does
+    not shrink any more. Of other threads than the main one, large arrays still come from the system; elsewhere than in
+    glibc, nothing happens.
     """
     with contextlib.suppress(AttributeError, OSError):
         mallopt = ctypes.CDLL(None).mallopt
-        # None is mapped by itself, and so none is unmapped: the threshold for that cannot be above 32 MiB.
+        # Glibc maps large arrays by themselves and unmaps them when freed, and does so above 32 MiB whatever its
+        # threshold is. Without such mappings all come from the heap, which is never trimmed.
         mallopt(_MMAP_MAX, 0)
-        mallopt(_TRIM_THRESHOLD, 2**31 - 1)
+        mallopt(_TRIM_THRESHOLD, -1)
 
 
 @contextlib.contextmanager

@@ -1,7 +1,7 @@
 """A device called ``far``: it computes on the CPU, and refuses tensors that are not on it, as a GPU does.
 
-Run as a program it trains, saves, goes on and evaluates there, with mujoco_warp, and fails where something is left
-on the CPU. A program of its own, as torch keeps such a device until the process ends.
+Run as a program it trains, saves, goes on and evaluates there, with mujoco_warp, and fails where an operation is given
+tensors of both. A program of its own, as torch keeps such a device until the process ends.
 """
 
 from __future__ import annotations

@@ -232,6 +232,7 @@ class PPO:
         sums: dict[str, Tensor] = {}
         updates = 0
         for _ in range(self.config.epochs):
+            # A collector's batch names no device, which would mean the CPU.
             order = torch.randperm(flat.shape[0], generator=self._generator, device=self._parameters[0].device)
             for rows in order.chunk(self.config.minibatches):
                 # Whole rows are copied; an index would go through their numbers one by one.

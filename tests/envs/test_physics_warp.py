@@ -26,6 +26,7 @@ from skatemount.training import Trainer
 WORLDS, SUBSTEPS = 24, 4
 VARIED = ["start.board_fixed=0.5", "start.step_height=[0.0,0.088]", "start.force=[-3.0,3.0]"]
 VARIED += ["start.board_speed=[0.0,0.5]", "start.yaw=[-3.0,3.0]"]
+DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)]
 TOLERANCES = {
     **dict.fromkeys(("base_pos", "board_pos", "foot_pos", "foot_pos_board", "ground_height"), 1e-3),  # m
     **dict.fromkeys(("base_rot", "board_rot", "gravity", "joint_pos", "truck_angle"), 5e-3),  # 1, rad
@@ -64,6 +65,10 @@ def warp(task: MountTask) -> Iterator[Physics]:
 
 def starts(task: MountTask, n: int = WORLDS, seed: int = 0) -> WorldStart:
     return task.make_sampler().draw(n, torch.Generator().manual_seed(seed))
+
+
+def to(start: WorldStart, device: str) -> WorldStart:
+    return WorldStart(**{name: value.to(device) for name, value in vars(start).items()})
 
 
 def everywhere(n: int = WORLDS) -> Tensor:
@@ -117,17 +122,13 @@ def test_a_hundred_steps_like_those_of_the_cpu_engine(task: MountTask, pair: tup
 
 
 @pytest.mark.gpu
-def test_a_gpu_steps_and_resets_like_the_cpu_engine(task: MountTask) -> None:
+def test_a_gpu_steps_like_the_cpu_engine(task: MountTask) -> None:
     gpu, cpu = engine("warp", task, device="cuda"), engine("cpu", task)
-    generator, nominal = torch.Generator().manual_seed(1), torch.zeros(WORLDS, 12)
-    for step in range(24):
-        if step % 8 == 0:
-            # All of them, and then so few that they are computed by themselves.
-            mask, start = everywhere() if step == 0 else only(step, n=WORLDS), starts(task, seed=step)
-            cpu.reset(mask, start[mask])
-            gpu.reset(mask.cuda(), WorldStart(**{name: value.cuda() for name, value in vars(start[mask]).items()}))
-            nominal = torch.where(mask.unsqueeze(1), start.joint_pos, nominal)
-        targets = nominal + 0.05 * torch.randn(WORLDS, 12, generator=generator)
+    start, generator = starts(task), torch.Generator().manual_seed(1)
+    cpu.reset(everywhere(), start)
+    gpu.reset(everywhere().cuda(), to(start, "cuda"))
+    for _ in range(24):
+        targets = start.joint_pos + 0.05 * torch.randn(WORLDS, 12, generator=generator)
         cpu.step(targets, SUBSTEPS)
         gpu.step(targets.cuda(), SUBSTEPS)
         a, b = cpu.state(), gpu.state()
@@ -156,18 +157,19 @@ def test_observations_and_rewards_are_the_cpu_engines() -> None:
         env.close()
 
 
+@pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("worlds", [4, WORLDS])
-def test_a_reset_touches_only_the_chosen_worlds(task: MountTask, worlds: int) -> None:
+def test_a_reset_touches_only_the_chosen_worlds(task: MountTask, worlds: int, device: str) -> None:
     """Resets of half of the worlds, and of so few that they are computed by themselves."""
-    warp = engine("warp", task, worlds)
+    warp = engine("warp", task, worlds, device)
     warp.field("body_mass")[3, warp.index.trunk_body] += 3.0
     warp.refresh_constants()
-    start = starts(task, worlds)
-    warp.reset(everywhere(worlds), start)
+    all_of_them, mask = everywhere(worlds).to(device), only(1, 3, n=worlds).to(device)
+    start, other = (to(starts(task, worlds, seed), device) for seed in (0, 9))
+    warp.reset(all_of_them, start)
     for _ in range(5):
         warp.step(start.joint_pos, SUBSTEPS)
     raw, state = warp.raw_state(), warp.state()
-    mask, other = only(1, 3, n=worlds), starts(task, worlds, seed=9)
     warp.reset(mask, other[mask])
     after = warp.state()
     assert same(after, state, ~mask)
@@ -177,12 +179,13 @@ def test_a_reset_touches_only_the_chosen_worlds(task: MountTask, worlds: int) ->
     # What the world was before is forgotten: it is the same as when all are reset, and goes on in the same way.
     warp.step(other.joint_pos, SUBSTEPS)
     moved = warp.state()
-    warp.reset(everywhere(worlds), other)
+    warp.reset(all_of_them, other)
     fresh = warp.state()
     warp.step(other.joint_pos, SUBSTEPS)
     for now, then in ((after, fresh), (moved, warp.state())):
         for name in ("base_pos", "joint_acc", "foot_deck_force", "foot_other_force"):
             torch.testing.assert_close(now.get(name)[mask], then.get(name)[mask], atol=1e-3, rtol=1e-3)
+    assert warp.overflowed() is None
     warp.close()
 
 
@@ -242,6 +245,16 @@ def test_lost_contacts_are_an_error_that_names_the_setting(task: MountTask, sett
     physics.close()
 
 
+def test_contacts_lost_in_a_reset_of_few_are_an_error_too(task: MountTask, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("skatemount.envs.physics.warp._SPARE_WORLDS", 0)
+    physics = make_physics(task.scene, PhysicsConfig(engine="warp", num_worlds=8, device="cpu", max_contacts=2))
+    start = starts(task, 8)
+    physics.reset(only(1, n=8), start[1:2])
+    assert physics.overflowed() == "mujoco_warp dropped contacts in a reset: raise physics.max_contacts=2"
+    assert physics.overflowed() is None
+    physics.close()
+
+
 def test_a_device_that_is_not_there_is_refused(task: MountTask) -> None:
     for device in ("cuda:7", "gpu", "meta"):
         with pytest.raises(ConfigError, match=f"physics.device={device} cannot be used"):
@@ -270,7 +283,7 @@ def test_a_policy_succeeds_as_often_on_both_engines(capsys: pytest.CaptureFixtur
     torch.testing.assert_close(first, second, atol=1e-4, rtol=0)
 
 
-@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
+@pytest.mark.parametrize("device", DEVICES)
 def test_a_training_on_it_and_its_bench(tmp_path: Path, device: str) -> None:
     """The whole of a training, with curriculum and stuck starts, and the stopwatch, on this engine."""
     asked = [*TINY, "physics=warp", f"physics.device={device}", "+curriculum=auto", f"logger.root={tmp_path}"]

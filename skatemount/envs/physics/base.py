@@ -26,7 +26,8 @@ class PhysicsConfig(SolverConfig):
         num_worlds: Worlds stepped together.
         threads: Physics threads of ``cpu``; 0 takes every core.
         device: Of ``warp``: ``auto`` (a GPU if there is one, else the CPU), ``cuda``, ``cuda:1`` or ``cpu``.
-        max_contacts: Contacts of a world that ``warp`` has memory for, on average over the worlds.
+        max_contacts: Contacts of a world that ``warp`` has memory for, on average over the worlds; a contact sensor
+            adds up a third as many.
         max_constraints: Constraint rows of a world that ``warp`` has memory for.
     """
 

@@ -26,8 +26,8 @@ DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_ac
 STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl", "xfrc_applied", "eq_active", "mocap_pos")
 """What integration goes on from."""
 
-RESULTS = ("sensordata", "qacc", "qacc_warmstart")
-"""What a step or a reset leaves of its forces, of which positions and velocities alone do not tell."""
+RESULTS = ("sensordata", "qacc")
+"""What states are read from besides: of forces, positions and velocities alone do not tell."""
 
 _TOO_SMALL = {
     mjw.OverflowType.NEFC: "max_constraints",
@@ -41,14 +41,25 @@ _NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 _FORWARD = 0
 _FEW = 8
 """Resets of up to one in so many worlds are computed by themselves; nearly all are of fewer."""
-_OF_A_SENSOR = 3
-"""A sensor adds up so many times fewer contacts than a world may have."""
+_SPARE_WORLDS = 8
+"""Of a few worlds' contacts, the average is far from the most; there they have memory for so many worlds more."""
+_SENSORS = 3
+"""A contact sensor adds up so many times fewer contacts than `max_contacts`."""
 _LARGEST = 1e10
 """Beyond it MuJoCo gives a state up (mjMAXVAL)."""
 
 
 class _Worlds:
-    """So many worlds in Warp's memory, torch's views of them, and the CUDA graphs that step them."""
+    """So many worlds in Warp's memory, torch's views of them, and the CUDA graphs that step them.
+
+    Args:
+        model: The scene.
+        num_worlds: Number of worlds.
+        device: Where they are.
+        contacts: Contacts of a world that there is memory for, on average.
+        constraints: Constraint rows of a world that there is memory for.
+        spare: Memory for the contacts of so many worlds more.
+    """
 
     def __init__(
         self,
@@ -60,21 +71,27 @@ class _Worlds:
         spare: int = 0,
     ):
         self.num_worlds = num_worlds
-        self._device, self._place = device, wp.device_from_torch(device)
-        with wp.ScopedDevice(self._place):
+        self._device, self._warp_device = device, wp.device_from_torch(device)
+        with wp.ScopedDevice(self._warp_device):
             self.model = mjw.put_model(model, dict.fromkeys((*RANDOMISED, *DERIVED), num_worlds))
             # An overflow is found by `overflowed`; Warp would print a line a world and step.
             self.model.opt.warn_overflow = 0
-            # For each sensor of each world, a block of threads comes to sort contacts, and goes, as sums need no order.
-            self.model.opt.contact_sensor_maxmatch = max(1, contacts // _OF_A_SENSOR)
+            # Mujoco_warp launches a block that sorts contacts for each contact sensor of each world, also where forces
+            # are only added up, as here: the blocks are one warp, and what they would sort is small.
+            self.model.opt.contact_sensor_maxmatch = max(1, contacts // _SENSORS)
             self.model.block_dim.contact_sort = 32
             self.data = mjw.make_data(model, num_worlds, naconmax=contacts * (num_worlds + spare), njmax=constraints)
         self.fields = {name: wp.to_torch(getattr(self.model, name)) for name in (*RANDOMISED, *DERIVED)}
         self.state = {name: wp.to_torch(getattr(self.data, name)) for name in STATE}
         self.results = {name: wp.to_torch(getattr(self.data, name)) for name in RESULTS}
         self.overflow = wp.to_torch(self.data.overflow)
+        self._found = [wp.to_torch(each) for each in (self.data.nacon, self.data.ncollision)]
         self._graphs: dict[int, wp.Graph] = {}
         self.launch(_FORWARD)
+
+    def lost_contacts(self) -> Tensor:
+        """Bool, whether there was no memory for all contacts that were just found: `overflow` tells only of steps."""
+        return torch.cat(self._found).max() > self.data.naconmax
 
     def launch(self, substeps: int) -> None:
         """Do `_work`, on a GPU as a graph that is captured after the first time."""
@@ -84,14 +101,14 @@ class _Worlds:
         self.run(lambda: self._work(substeps))
         if self._device.type == "cuda":
             torch.cuda.synchronize(self._device)
-            with wp.ScopedDevice(self._place), wp.ScopedCapture() as capture:
+            with wp.ScopedDevice(self._warp_device), wp.ScopedCapture() as capture:
                 self._work(substeps)
             self._graphs[substeps] = capture.graph
 
     def run(self, work: Callable[[], Any]) -> None:
         """Run Warp's kernels in order with torch's."""
         if self._device.type == "cpu":
-            with wp.ScopedDevice(self._place):
+            with wp.ScopedDevice(self._warp_device):
                 work()
             return
         with wp.ScopedStream(self._stream()):
@@ -107,10 +124,14 @@ class _Worlds:
             mjw.forward(model, data)
             return
         flags = model.opt.disableflags
-        for left in reversed(range(substeps)):
-            # Sensors are read after the last step alone, and contacts are sorted for them.
-            model.opt.disableflags = flags | _NO_SENSORS if left else flags
-            mjw.step(model, data)
+        # Sensors are read after the last step alone.
+        model.opt.disableflags |= _NO_SENSORS
+        try:
+            for _ in range(substeps - 1):
+                mjw.step(model, data)
+        finally:
+            model.opt.disableflags = flags
+        mjw.step(model, data)
         # Forces stay those of the last step; contacts are found anew by the next.
         mjw.fwd_kinematics(model, data)
         mjw.sensor_pos(model, data)
@@ -128,7 +149,8 @@ class WarpPhysics:
         scene: The scene.
         num_worlds: Number of worlds.
         device: Where they are: ``auto`` (a GPU if there is one), ``cuda``, ``cuda:1``, ``cpu``.
-        max_contacts: Contacts of a world that there is memory for, on average over the worlds.
+        max_contacts: Contacts of a world that there is memory for, on average over the worlds; a contact sensor adds
+            up a third as many.
         max_constraints: Constraint rows of a world that there is memory for.
 
     Raises:
@@ -147,12 +169,12 @@ class WarpPhysics:
         _say_if_it_has_to_compile()
         self.description = f"mujoco_warp on {wp.device_from_torch(self.device).name}"
         self._all = _Worlds(self.model, num_worlds, self.device, max_contacts, max_constraints)
-        # One world alone may have far more contacts than the average.
-        few, spare = max(1, num_worlds // _FEW), 8
-        self._few = _Worlds(self.model, few, self.device, max_contacts, max_constraints, spare)
+        few = max(1, num_worlds // _FEW)
+        self._few = _Worlds(self.model, few, self.device, max_contacts, max_constraints, _SPARE_WORLDS)
         self._state = self._all.state
         with self.device:
             self._failed = torch.zeros(num_worlds, dtype=torch.bool)
+            self._lost_in_reset = torch.zeros((), dtype=torch.bool)
             self._qpos0 = torch.as_tensor(self.model.qpos0, dtype=torch.float32)
             self._rolling = torch.as_tensor(self.index.rolling, dtype=torch.float32)
             self._joint_qpos, self._joint_dof, self._actuators = (
@@ -197,20 +219,29 @@ class WarpPhysics:
         for name, value in self._state.items():
             value[rows] = fresh[name]
         self._failed &= ~mask
-        # The other worlds keep what their last step left: a state is that of a step, not of a reset elsewhere.
         if len(rows) > self._few.num_worlds:
-            left = {name: values.clone() for name, values in self._all.results.items()}
-            self._all.launch(_FORWARD)
-            for name, values in self._all.results.items():
-                values.copy_(_choose(mask, values, left[name]))
-            return
-        few, many = self._few, self._all
-        for here, there in ((few.fields, many.fields), (few.state, many.state)):
-            for name, values in here.items():
-                values[: len(rows)] = there[name][rows]
+            self._forward_all(mask)
+        elif len(rows):
+            self._forward_few(rows)
+
+    def _forward_all(self, mask: Tensor) -> None:
+        """Compute all worlds anew; those that are not chosen keep what their last step left, forces above all."""
+        left = {name: values.clone() for name, values in self._all.results.items()}
+        self._all.launch(_FORWARD)
+        for name, values in self._all.results.items():
+            values.copy_(_choose(mask, values, left[name]))
+
+    def _forward_few(self, rows: Tensor) -> None:
+        """Compute the chosen worlds anew, in memory of their own."""
+        every, few, n = self._all, self._few, len(rows)
+        for name, values in few.fields.items():
+            values[:n] = every.fields[name][rows]
+        for name, values in few.state.items():
+            values[:n] = every.state[name][rows]
         few.launch(_FORWARD)
-        for name, values in many.results.items():
-            values[rows] = few.results[name][: len(rows)]
+        self._lost_in_reset |= few.lost_contacts()
+        for name, values in every.results.items():
+            values[rows] = few.results[name][:n]
 
     def push(self, mask: Tensor, velocity: Tensor) -> None:
         """Add to the trunk's velocity; see `Physics.push`."""
@@ -253,15 +284,17 @@ class WarpPhysics:
 
     def overflowed(self) -> str | None:
         """What to raise if contacts or constraints were dropped for want of memory, since it was last asked."""
-        seen = torch.cat([worlds.overflow for worlds in (self._all, self._few)]).cpu()
-        for worlds in (self._all, self._few):
-            worlds.overflow.zero_()
+        seen = self._all.overflow.to("cpu", copy=True)
+        self._all.overflow.zero_()
         for bit, setting in _TOO_SMALL.items():
             if lost := int(((seen & int(bit)) != 0).sum()):
                 return (
                     f"mujoco_warp dropped contacts in {lost} of {self.num_worlds} worlds ({bit.name}): raise "
                     f"physics.{setting}={getattr(self, setting)}"
                 )
+        if self._lost_in_reset:
+            self._lost_in_reset.zero_()
+            return f"mujoco_warp dropped contacts in a reset: raise physics.max_contacts={self.max_contacts}"
         return None
 
     def raw_state(self) -> dict[str, Tensor]:
