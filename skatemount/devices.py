@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import time
 from collections.abc import Iterator
 
@@ -23,11 +24,10 @@ def choose_device(name: str) -> torch.device:
     """
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
+    if not re.fullmatch(r"cpu|cuda(:\d+)?", name):
+        raise ConfigError(f"physics.device={name} must be auto, cpu, cuda or cuda:<number>")
     try:
-        device = torch.device(name)
-        if device.type not in ("cpu", "cuda"):
-            raise RuntimeError("it is neither a CPU nor a CUDA GPU")
-        return torch.zeros(0, device=device).device
+        return torch.zeros(0, device=name).device
     except (RuntimeError, AssertionError) as error:
         raise ConfigError(f"physics.device={name} cannot be used: {str(error).splitlines()[0]}") from error
 

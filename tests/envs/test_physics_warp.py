@@ -241,7 +241,7 @@ def test_lost_contacts_are_an_error_that_names_the_setting(task: MountTask, sett
     physics.reset(everywhere(4), start)
     physics.step(start.joint_pos, SUBSTEPS)
     message = physics.overflowed()
-    assert message is not None and f"raise physics.{setting}={room}" in message
+    assert message is not None and f"raise physics.{setting}, which is {room}" in message
     physics.close()
 
 
@@ -250,15 +250,18 @@ def test_contacts_lost_in_a_reset_of_few_are_an_error_too(task: MountTask, monke
     physics = make_physics(task.scene, PhysicsConfig(engine="warp", num_worlds=8, device="cpu", max_contacts=2))
     start = starts(task, 8)
     physics.reset(only(1, n=8), start[1:2])
-    assert physics.overflowed() == "mujoco_warp dropped contacts in a reset: raise physics.max_contacts=2"
+    assert physics.overflowed() == "mujoco_warp dropped contacts in a reset: raise physics.max_contacts, which is 2"
     assert physics.overflowed() is None
     physics.close()
 
 
 def test_a_device_that_is_not_there_is_refused(task: MountTask) -> None:
-    for device in ("cuda:7", "gpu", "meta"):
-        with pytest.raises(ConfigError, match=f"physics.device={device} cannot be used"):
+    must_be = "must be auto, cpu, cuda or cuda:<number>"
+    for device, wrong in (("cuda:7", "cannot be used"), ("gpu", must_be), ("meta", must_be)):
+        with pytest.raises(ConfigError, match=f"physics.device={device} {wrong}"):
             make_physics(task.scene, PhysicsConfig(engine="warp", num_worlds=1, device=device))
+    with pytest.raises(ConfigError, match=r"physics.device=cuda goes with physics.engine=warp.*is cpu"):
+        make_physics(task.scene, PhysicsConfig(engine="cpu", num_worlds=1, device="cuda"))
 
 
 def test_without_the_packages_it_says_what_to_install(task: MountTask, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -210,6 +210,8 @@ def show(
 def _cpu(scene: Scene, config: PhysicsConfig) -> Physics:
     from skatemount.envs.physics.cpu import CpuPhysics
 
+    if config.device not in ("auto", "cpu"):
+        raise ConfigError(f"physics.device={config.device} goes with physics.engine=warp, but the engine is cpu")
     return CpuPhysics(scene, config.num_worlds, config.threads)
 
 

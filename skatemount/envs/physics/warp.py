@@ -30,12 +30,13 @@ RESULTS = ("sensordata", "qacc")
 """What states are read from besides: of forces, positions and velocities alone do not tell."""
 
 _TOO_SMALL = {
-    mjw.OverflowType.NEFC: "max_constraints",
-    mjw.OverflowType.NJMAX_NNZ: "max_constraints",
+    # Contacts first: without some of them, counts of constraints mean nothing.
     mjw.OverflowType.BROADPHASE: "max_contacts",
     mjw.OverflowType.NARROWPHASE: "max_contacts",
     mjw.OverflowType.CCD: "max_contacts",
     mjw.OverflowType.CONTACT_MATCH: "max_contacts",
+    mjw.OverflowType.NEFC: "max_constraints",
+    mjw.OverflowType.NJMAX_NNZ: "max_constraints",
 }
 _NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 _FORWARD = 0
@@ -289,12 +290,12 @@ class WarpPhysics:
         for bit, setting in _TOO_SMALL.items():
             if lost := int(((seen & int(bit)) != 0).sum()):
                 return (
-                    f"mujoco_warp dropped contacts in {lost} of {self.num_worlds} worlds ({bit.name}): raise "
-                    f"physics.{setting}={getattr(self, setting)}"
+                    f"mujoco_warp dropped {setting.removeprefix('max_')} in {lost} of {self.num_worlds} worlds "
+                    f"({bit.name}): raise physics.{setting}, which is {getattr(self, setting)}"
                 )
         if self._lost_in_reset:
             self._lost_in_reset.zero_()
-            return f"mujoco_warp dropped contacts in a reset: raise physics.max_contacts={self.max_contacts}"
+            return f"mujoco_warp dropped contacts in a reset: raise physics.max_contacts, which is {self.max_contacts}"
         return None
 
     def raw_state(self) -> dict[str, Tensor]:
