@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
+from unittest import mock
 
 import torch
 import warp as wp
@@ -54,7 +55,7 @@ class FarTensor(Tensor):
     """A tensor that says it is on the device, and has its numbers near."""
 
     near: Tensor
-    __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]
+    __torch_function__ = torch._C._disabled_torch_function_impl
 
     @staticmethod
     def __new__(cls, near: Tensor) -> FarTensor:
@@ -130,7 +131,7 @@ class _Functions(TorchFunctionMode):
 class _Generator(torch.Generator):
     """A generator that says it is on the device."""
 
-    device = FAR  # type: ignore[assignment]
+    device = FAR
 
 
 @contextmanager
@@ -147,14 +148,23 @@ def on_the_far_device() -> Iterator[None]:
             self.run(lambda: self._work(substeps))
 
     to_torch, generator = wp.to_torch, torch.Generator
-    warp._Worlds = Worlds  # type: ignore[misc]
-    warp.choose_device = lambda name: FAR
-    wp.device_from_torch = lambda device: wp.get_device("cpu")
-    wp.to_torch = lambda array: FarTensor(to_torch(array))
-    torch.Generator = lambda device="cpu": _Generator() if torch.device(device) == FAR else generator(device)  # type: ignore
+
+    def make_generator(device: torch.device | str = "cpu") -> torch.Generator:
+        return _Generator() if torch.device(device) == FAR else generator(device)
+
+    of_warp = {
+        "to_torch": lambda array: FarTensor(to_torch(array)),
+        "device_from_torch": lambda _: wp.get_device("cpu"),
+    }
     # Inference tensors have no version counter, which such a tensor needs.
-    torch.inference_mode = lambda *args, **kwargs: torch.no_grad()  # type: ignore[assignment,misc]
-    with _Functions(), _Operations():
+    of_torch = {"Generator": make_generator, "inference_mode": lambda *_: torch.no_grad()}
+    with (
+        mock.patch.multiple(warp, _Worlds=Worlds, choose_device=lambda name: FAR),
+        mock.patch.multiple(wp, **of_warp),
+        mock.patch.multiple(torch, **of_torch),
+        _Functions(),
+        _Operations(),
+    ):
         yield
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from mujoco_warp import OverflowType
 from tiny import TINY
 from torch import Tensor
 
@@ -243,6 +244,14 @@ def test_lost_contacts_are_an_error_that_names_the_setting(task: MountTask, sett
     message = physics.overflowed()
     assert message is not None and f"raise physics.{setting}, which is {room}" in message
     physics.close()
+
+
+def test_where_contacts_are_lost_the_number_of_constraints_is_not_blamed(warp: Physics) -> None:
+    warp._all.overflow[1] = int(OverflowType.NEFC) | int(OverflowType.BROADPHASE)
+    assert warp.overflowed() == (
+        "mujoco_warp dropped contacts in 1 of 4 worlds (BROADPHASE): raise physics.max_contacts, which is 48"
+    )
+    assert warp.overflowed() is None
 
 
 def test_contacts_lost_in_a_reset_of_few_are_an_error_too(task: MountTask, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,9 +25,8 @@ DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_ac
 """What follows from masses and inertias, and differs from world to world with them."""
 STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl", "xfrc_applied", "eq_active", "mocap_pos")
 """What integration goes on from."""
-
 RESULTS = ("sensordata", "qacc")
-"""What states are read from besides: of forces, positions and velocities alone do not tell."""
+"""What the last step, or a reset, computed from it, and states are read from."""
 
 _TOO_SMALL = {
     # Contacts first: without some of them, counts of constraints mean nothing.
@@ -44,7 +43,7 @@ _FEW = 8
 """Resets of up to one in so many worlds are computed by themselves; nearly all are of fewer."""
 _SPARE_WORLDS = 8
 """Of a few worlds' contacts, the average is far from the most; there they have memory for so many worlds more."""
-_SENSORS = 3
+_SENSOR_SHARE = 3
 """A contact sensor adds up so many times fewer contacts than `max_contacts`."""
 _LARGEST = 1e10
 """Beyond it MuJoCo gives a state up (mjMAXVAL)."""
@@ -79,7 +78,7 @@ class _Worlds:
             self.model.opt.warn_overflow = 0
             # Mujoco_warp launches a block that sorts contacts for each contact sensor of each world, also where forces
             # are only added up, as here: the blocks are one warp, and what they would sort is small.
-            self.model.opt.contact_sensor_maxmatch = max(1, contacts // _SENSORS)
+            self.model.opt.contact_sensor_maxmatch = max(1, contacts // _SENSOR_SHARE)
             self.model.block_dim.contact_sort = 32
             self.data = mjw.make_data(model, num_worlds, naconmax=contacts * (num_worlds + spare), njmax=constraints)
         self.fields = {name: wp.to_torch(getattr(self.model, name)) for name in (*RANDOMISED, *DERIVED)}
@@ -210,7 +209,7 @@ class WarpPhysics:
         qvel = start.board_speed.unsqueeze(1) * self._rolling
         qvel[:, index.base_dof] = torch.cat((start.base_lin_vel, start.base_ang_vel), -1)
         qvel[:, self._joint_dof] = start.joint_vel
-        fresh = {name: torch.zeros_like(value[rows]) for name, value in self._state.items()}
+        fresh = {name: value.new_zeros(len(rows), *value.shape[1:]) for name, value in self._state.items()}
         fresh |= {"qpos": qpos, "qvel": qvel}
         fresh["ctrl"][:, self._actuators] = start.joint_pos
         fresh["xfrc_applied"][:, index.trunk_body] = torch.cat((start.force, start.torque), -1)
@@ -223,7 +222,7 @@ class WarpPhysics:
         if len(rows) > self._few.num_worlds:
             self._forward_all(mask)
         elif len(rows):
-            self._forward_few(rows)
+            self._forward_few(rows, fresh)
 
     def _forward_all(self, mask: Tensor) -> None:
         """Compute all worlds anew; those that are not chosen keep what their last step left, forces above all."""
@@ -232,13 +231,13 @@ class WarpPhysics:
         for name, values in self._all.results.items():
             values.copy_(_choose(mask, values, left[name]))
 
-    def _forward_few(self, rows: Tensor) -> None:
-        """Compute the chosen worlds anew, in memory of their own."""
+    def _forward_few(self, rows: Tensor, fresh: dict[str, Tensor]) -> None:
+        """Compute the chosen worlds, whose states are given, in memory of their own."""
         every, few, n = self._all, self._few, len(rows)
         for name, values in few.fields.items():
             values[:n] = every.fields[name][rows]
         for name, values in few.state.items():
-            values[:n] = every.state[name][rows]
+            values[:n] = fresh[name]
         few.launch(_FORWARD)
         self._lost_in_reset |= few.lost_contacts()
         for name, values in every.results.items():
