@@ -1,0 +1,134 @@
+"""How `dump.py` reaches into the code of commit 5ce7322. Frozen with it; `adapter.py` is today's."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from skatemount import config as configuration
+from skatemount.agent import Agent
+from skatemount.benchmark.trial import Trial, load_suite, trial_config
+from skatemount.envs import MountEnv, MountTask
+from skatemount.envs.physics.base import WorldStart
+from skatemount.losses.ppo import PPO
+from skatemount.training import make_networks
+
+
+def _compose(line: str) -> configuration.Config:
+    return configuration.compose(None, line.split())
+
+
+def settings(line: str) -> dict[str, Any]:
+    """Return the composed settings of a training's command line, as plain values."""
+    return configuration.to_dict(_compose(line))
+
+
+def suite_settings(suite: str, policy: str) -> dict[str, dict[str, Any]]:
+    """Return the settings by variant in which a suite evaluates a shipped policy."""
+    agent, found = Agent.load(f"pretrained:{policy}"), load_suite(suite)
+    variants = found.variants or {"": []}
+    return {
+        name: configuration.to_dict(trial_config(agent.config, found, [], variant=each))
+        for name, each in variants.items()
+    }
+
+
+def compiled_model(line: str) -> mujoco.MjModel:
+    """Return the compiled model of a command line's scene, without what is only drawn."""
+    return MountTask(config=_compose(line)).scene.compile(visuals=False)
+
+
+def episodes(suite: str, count: int) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return the records of a suite's first episodes with `pretrained:best`, and the names of their ends."""
+    result = Trial.of(Agent.load("pretrained:best"), load_suite(suite)).evaluate(count)
+    return {name: value.numpy() for name, value in vars(result.records).items()}, result.ends
+
+
+def policy_size(spec: str) -> int:
+    """Return how many values a policy observes."""
+    card = Agent.load(spec).card
+    return sum(part["size"] for part in card.observation if part["key"] == "observation")
+
+
+def policy_actions(spec: str, observation: np.ndarray) -> np.ndarray:
+    """Return a policy's deterministic actions, ``[N, 12]``."""
+    actor = Agent.load(spec).policy.actor
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        return actor(TensorDict(observation=torch.from_numpy(observation), batch_size=[len(observation)]))[
+            "action"
+        ].numpy()
+
+
+def draw_step(line: str, worlds: int) -> dict[str, np.ndarray]:
+    """Return start states and actions for `control_step`."""
+    task = MountTask(config=_compose(line))
+    generator = torch.Generator().manual_seed(5)
+    start = task.make_sampler().draw(worlds, generator)
+    drawn = {f"start.{name}": value.numpy() for name, value in vars(start).items()}
+    drawn["action"] = torch.randn(worlds, 12, generator=generator).numpy()
+    return drawn
+
+
+def control_step(line: str, given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Take one control step from given start states with given actions, and return all that comes of it."""
+    n = len(given["action"])
+    env = MountEnv(MountTask(config=_compose(line)), num_worlds=n, threads=1)
+    given_start = {k.removeprefix("start."): torch.from_numpy(v) for k, v in given.items() if k.startswith("start.")}
+    start = WorldStart(**given_start)
+    action = torch.from_numpy(given["action"])
+    env.mdp.generator.manual_seed(3)
+    env.physics.reset(torch.ones(n, dtype=torch.bool), start)
+    episode = env.mdp.begin(env.physics.state())
+    first, _ = env.mdp.observe(env.physics.state(), episode)
+    first = first.clone()
+    env.physics.step(env.mdp.targets(action), env.task.config.physics.substeps)
+    sim = env.physics.state()
+    outcome = env.mdp.advance(sim, episode, action, env.physics.diverged())
+    observation, privileged = env.mdp.observe(sim, episode)
+    made = {"first_observation": first, "observation": observation, "privileged": privileged}
+    made |= {"reward": outcome.reward, "reward_terms": outcome.shares, "terminations": outcome.ends}
+    made |= {f"sim.{name}": getattr(sim, name) for name in sim.keys()}
+    env.close(raise_if_closed=False)
+    return {name: value.numpy() for name, value in made.items()}
+
+
+def draw_update(line: str) -> dict[str, np.ndarray]:
+    """Return a batch of experience and the networks that collected it, for `update`."""
+    config = _compose(line)
+    torch.manual_seed(0)
+    env = MountEnv(MountTask(config=config), num_worlds=16, threads=1, seed=2, random_phase=True)
+    networks = make_networks(config, env.mdp)
+    networks.observe(env.rollout(8, networks.actor, break_when_any_done=False))
+    batch = env.rollout(8, networks.actor, break_when_any_done=False)
+    env.close(raise_if_closed=False)
+    drawn = {"batch." + "/".join(key): batch[key] for key in map(_as_tuple, batch.keys(True, True))}
+    drawn |= {f"before.{name}": value for name, value in networks.state_dict().items()}
+    return {name: value.detach().numpy() for name, value in drawn.items()}
+
+
+def update(line: str, given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Make one PPO update from a given batch, and return the weights after it."""
+    config = _compose(line)
+    env = MountEnv(MountTask(config=config), num_worlds=1, threads=1)
+    networks = make_networks(config, env.mdp)
+    step = env.mdp.context.control_step
+    env.close(raise_if_closed=False)
+    before = {k.removeprefix("before."): torch.tensor(v) for k, v in given.items() if k.startswith("before.")}
+    networks.load_state_dict(before)
+    ppo = PPO(config.algorithm, networks, step, generator=torch.Generator().manual_seed(1))
+    batch = TensorDict(batch_size=[16, 8])
+    for name, value in given.items():
+        if name.startswith("batch."):
+            batch[tuple(name.removeprefix("batch.").split("/"))] = torch.tensor(value)
+    metrics = ppo.update(batch)
+    after = {f"after.{name}": value.detach().numpy() for name, value in networks.state_dict().items()}
+    return after | {f"metrics.{name}": np.array(value) for name, value in metrics.items()}
+
+
+def _as_tuple(key: str | tuple[str, ...]) -> tuple[str, ...]:
+    return key if isinstance(key, tuple) else (key,)
