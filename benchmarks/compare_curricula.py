@@ -33,13 +33,13 @@ from typing import Any
 import numpy as np
 from omegaconf import OmegaConf
 
-from skatemount import atomic
 from skatemount import config as configuration
-from skatemount.agent import Agent
-from skatemount.benchmark.trial import Trial, load_suite
-from skatemount.checkpoint import list_checkpoints, read_card
-from skatemount.plots import COLOURS
-from skatemount.runs import RunFolder
+from skatemount.agents.agent import Agent
+from skatemount.evaluation.suite_task import Trial, load_suite
+from skatemount.runs import atomic
+from skatemount.runs.checkpoint import list_checkpoints, read_card
+from skatemount.runs.folder import RunFolder
+from skatemount.training.plots import COLOURS
 
 METHODS = {
     "auto": ["+stage=unfixed", "+curriculum=auto", "init_from=null"],

@@ -32,8 +32,8 @@ from skatemount.envs import MountTask
 from skatemount.envs.mdp import Mdp
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.losses.ppo import PPO
-from skatemount.memory import keep_freed_memory
-from skatemount.training import make_networks
+from skatemount.training.trainer import make_networks
+from skatemount.utils.memory import keep_freed_memory
 
 ACTIONS = 12
 

@@ -20,12 +20,12 @@ import numpy as np
 import torch
 from mujoco.batch import Batch
 
-from skatemount.agent import Agent
-from skatemount.benchmark.evaluation import deterministic
+from skatemount.agents.agent import Agent
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.envs.task import MountTask
-from skatemount.speed.measure import in_fresh_process
+from skatemount.evaluation.evaluator import deterministic
+from skatemount.profiling.measure import in_fresh_process
 
 SETTLE, STEPS = 50, 12
 STAGE = mujoco.mjtStage.mjSTAGE_VEL.value

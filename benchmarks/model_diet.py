@@ -27,13 +27,14 @@ from typing import Any
 
 import torch
 
-from skatemount.agent import Agent
-from skatemount.benchmark.evaluation import deterministic
-from skatemount.benchmark.trial import Trial, load_suite
+from skatemount.agents.agent import Agent
 from skatemount.config import Config
 from skatemount.envs.mount_env import MountEnv
-from skatemount.envs.physics.base import Physics, make_physics
+from skatemount.envs.physics.base import Physics
+from skatemount.envs.physics.factory import make_physics
 from skatemount.envs.task import MountTask
+from skatemount.evaluation.evaluator import deterministic
+from skatemount.evaluation.suite_task import Trial, load_suite
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},

@@ -18,10 +18,10 @@ import torch
 from torch import Tensor
 from torchrl.modules import MLP
 
-from skatemount.agent import Agent
+from skatemount.agents.agent import Agent
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.geometry import rotate_inverse
-from skatemount.models import ACTIVATIONS
+from skatemount.models.actor_critic import ACTIVATIONS
 
 ROWS = ("trunk, m/s", "board less trunk, m/s", "board's turning, rad/s")
 HELD_OUT = 7  # of so many worlds one is not fitted to

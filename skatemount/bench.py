@@ -27,10 +27,10 @@ def bench(config: Config, overrides: list[str]) -> None:
     Raises:
         ConfigError: A setting that cannot be used.
     """
-    from skatemount import atomic
     from skatemount.cli import prepare_outputs
-    from skatemount.speed import report
-    from skatemount.speed.measure import measure
+    from skatemount.profiling import report
+    from skatemount.profiling.measure import measure
+    from skatemount.runs import atomic
 
     prepare_outputs(config)
     training = [o for o in overrides if o.lstrip("+~").split("=")[0].split(".")[0] not in NOT_TRAINING]
@@ -47,7 +47,8 @@ def bench(config: Config, overrides: list[str]) -> None:
 
 def main() -> None:
     """Run the program."""
-    from skatemount import memory, opengl
+    from skatemount.rendering import opengl
+    from skatemount.utils import memory
 
     opengl.disable()
     # Only now: importing the configuration imports dm_control, which looks for a display otherwise.

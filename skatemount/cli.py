@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
@@ -15,7 +14,8 @@ from omegaconf import DictConfig
 
 from skatemount import config as configuration
 from skatemount.config import Config
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
+from skatemount.utils.quiet import ignore_torchrl_warnings
 
 _BELONGS_TO = {
     **dict.fromkeys(("init_from", "grow", "total_frames", "precision"), ("train", "bench")),
@@ -50,7 +50,7 @@ def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
     # Without this Hydra prints a screen of its own and ends the program itself.
     os.environ["HYDRA_FULL_ERROR"] = "1"
 
-    ignore_torchrls_warnings()
+    ignore_torchrl_warnings()
 
     @hydra.main(config_path=str(configuration.config_dir().absolute()), config_name="config", version_base="1.3")
     def application(composed: DictConfig) -> None:
@@ -82,11 +82,6 @@ def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
         if isinstance(error, ConfigError | OSError) or _from_hydra(error):
             fail(error)
         raise
-
-
-def ignore_torchrls_warnings() -> None:
-    """Say nothing of what TorchRL has deprecated and still uses itself."""
-    warnings.filterwarnings("ignore", message="Creating .*WeightUpdater", category=DeprecationWarning)
 
 
 def prepare_outputs(config: Config) -> None:

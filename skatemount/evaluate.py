@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from skatemount.benchmark.results import Evaluation
-    from skatemount.benchmark.trial import Trial
     from skatemount.config import Config
+    from skatemount.evaluation.results import Evaluation
+    from skatemount.evaluation.suite_task import Trial
 
 
 def evaluate(config: Config, overrides: list[str]) -> None:
@@ -19,7 +19,7 @@ def evaluate(config: Config, overrides: list[str]) -> None:
     Settings: ``checkpoint`` (a run, a checkpoint, a file, ``latest``, ``best``, ``pretrained:NAME``), ``suite`` (the
     checkpoint's own task if null), ``episodes``, ``seed``, ``json`` (file for the results), ``output`` (folder for the
     results and a success map of each suite). Any setting of the task may be given besides;
-    `skatemount.benchmark.trial.trial_config` says how they go together.
+    `skatemount.evaluation.suite_task.trial_config` says how they go together.
 
     Args:
         config: As composed from the command line.
@@ -28,11 +28,11 @@ def evaluate(config: Config, overrides: list[str]) -> None:
     Raises:
         ConfigError: No such policy or suite, or the policy does not fit the task.
     """
-    from skatemount.benchmark import report
-    from skatemount.benchmark.success_map import plot_success_map
-    from skatemount.benchmark.trial import Trial
     from skatemount.cli import prepare_outputs
-    from skatemount.provenance import package_versions
+    from skatemount.evaluation import report
+    from skatemount.evaluation.success_map import plot_success_map
+    from skatemount.evaluation.suite_task import Trial
+    from skatemount.runs.provenance import package_versions
 
     prepare_outputs(config)
     trials = Trial.prepare(config, overrides)
@@ -77,7 +77,7 @@ def _evaluate(trial: Trial, episodes: int, doing: str) -> Evaluation:
 
 
 def _write(document: dict[str, Any], path: Path) -> None:
-    from skatemount import atomic
+    from skatemount.runs import atomic
 
     atomic.write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
     print(f"written to {path}")
@@ -85,7 +85,8 @@ def _write(document: dict[str, Any], path: Path) -> None:
 
 def main() -> None:
     """Run the program."""
-    from skatemount import memory, opengl
+    from skatemount.rendering import opengl
+    from skatemount.utils import memory
 
     opengl.disable()
     # Only now: importing the configuration imports dm_control, which looks for a display otherwise.

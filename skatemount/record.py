@@ -35,10 +35,11 @@ def record(config: Config, overrides: list[str]) -> None:
     import numpy as np
     from rich.progress import track
 
-    from skatemount import atomic, rendering
-    from skatemount.benchmark.playback import play
-    from skatemount.benchmark.trial import Trial
-    from skatemount.errors import ConfigError
+    from skatemount.evaluation.suite_task import Trial
+    from skatemount.rendering import renderer as rendering
+    from skatemount.rendering.playback import play
+    from skatemount.runs import atomic
+    from skatemount.utils.errors import ConfigError
 
     if config.suite is not None and config.suite.members:
         raise ConfigError(f"suite={config.suite.name}: name one to film, of {', '.join(config.suite.members)}")
@@ -75,8 +76,8 @@ def record(config: Config, overrides: list[str]) -> None:
 
 def default_folder(policy: Path) -> Path:
     """Where films of a policy go: to its run's, or to ``videos`` here if it is no run's."""
-    from skatemount.errors import ConfigError
-    from skatemount.runs import RunFolder
+    from skatemount.runs.folder import RunFolder
+    from skatemount.utils.errors import ConfigError
 
     try:
         return RunFolder.open(policy if policy.is_dir() else policy.parent).videos
@@ -88,7 +89,7 @@ def _writer(path: Path, rate: float, size: tuple[int, int]) -> Generator[None, b
     """Takes pictures as bytes and makes an MP4 that every browser plays."""
     import imageio_ffmpeg
 
-    from skatemount.errors import ConfigError
+    from skatemount.utils.errors import ConfigError
 
     try:
         writer = imageio_ffmpeg.write_frames(
@@ -108,8 +109,8 @@ def _writer(path: Path, rate: float, size: tuple[int, int]) -> Generator[None, b
 
 def main() -> None:
     """Run the program."""
-    from skatemount import opengl
-    from skatemount.errors import ConfigError
+    from skatemount.rendering import opengl
+    from skatemount.utils.errors import ConfigError
 
     try:
         opengl.choose()

@@ -19,9 +19,10 @@ def train(config: Config, overrides: list[str]) -> None:
         ConfigError: No stage, or a setting that cannot be used.
     """
     from skatemount.config import stages
-    from skatemount.curriculum.stages import chain_to_train
-    from skatemount.errors import ConfigError
-    from skatemount.training import Trainer, resumed
+    from skatemount.training.chain import chain_to_train
+    from skatemount.training.resume import resumed
+    from skatemount.training.trainer import Trainer
+    from skatemount.utils.errors import ConfigError
 
     chain = chain_to_train(config, overrides)
     if chain is not None:
@@ -45,7 +46,8 @@ def train(config: Config, overrides: list[str]) -> None:
 
 def main() -> None:
     """Run the program."""
-    from skatemount import memory, opengl
+    from skatemount.rendering import opengl
+    from skatemount.utils import memory
 
     opengl.disable()
     # Only now: importing the configuration imports dm_control, which looks for a display otherwise.

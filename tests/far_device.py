@@ -184,9 +184,9 @@ def train(root: str) -> None:
     """A training with all that has tensors of its own, resumed, and an evaluation of its policy."""
     from tiny import TINY
 
-    from skatemount.benchmark.evaluation import Evaluator
     from skatemount.config import compose
-    from skatemount.training import Trainer
+    from skatemount.evaluation.evaluator import Evaluator
+    from skatemount.training.trainer import Trainer
 
     asked = ["physics=warp", "+curriculum=auto", "physics.num_worlds=8", "collector.steps=20", f"logger.root={root}"]
     config = compose("unfixed", [*TINY, *asked, "total_frames=320", "network.symmetric=true", "network.normalize=true"])

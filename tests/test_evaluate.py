@@ -11,14 +11,14 @@ import pytest
 import torch
 from PIL import Image
 
-from skatemount.agent import MODULE, make_card
-from skatemount.checkpoint import save_policy
+from skatemount.agents.agent import MODULE, make_card
 from skatemount.cli import _check_choices
 from skatemount.config import compose
 from skatemount.envs.task import MountTask
-from skatemount.errors import ConfigError
 from skatemount.evaluate import evaluate
-from skatemount.models import ActorCritic
+from skatemount.models.actor_critic import ActorCritic
+from skatemount.runs.checkpoint import save_policy
+from skatemount.utils.errors import ConfigError
 
 SHORT = ["episode_length=0.8", "physics.threads=1", "physics.num_worlds=4"]
 

@@ -12,18 +12,18 @@ import pytest
 import torch
 from PIL import Image
 
-from skatemount.agent import MODULE, Agent, make_card
-from skatemount.benchmark.evaluation import Evaluator
-from skatemount.benchmark.playback import play
-from skatemount.benchmark.suites import SuiteConfig
-from skatemount.benchmark.trial import Trial
-from skatemount.checkpoint import save_checkpoint
+from skatemount.agents.agent import MODULE, Agent, make_card
 from skatemount.config import Config, compose, to_dict
+from skatemount.config.suite import SuiteConfig
 from skatemount.envs.task import MountTask
-from skatemount.errors import ConfigError
-from skatemount.models import ActorCritic
+from skatemount.evaluation.evaluator import Evaluator
+from skatemount.evaluation.suite_task import Trial
+from skatemount.models.actor_critic import ActorCritic
 from skatemount.record import default_folder, record
-from skatemount.runs import RunFolder
+from skatemount.rendering.playback import play
+from skatemount.runs.checkpoint import save_checkpoint
+from skatemount.runs.folder import RunFolder
+from skatemount.utils.errors import ConfigError
 
 needs_opengl = pytest.mark.skipif(
     os.environ.get("MUJOCO_GL") not in ("egl", "osmesa"), reason="needs OpenGL without a display"

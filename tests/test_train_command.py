@@ -16,9 +16,9 @@ import yaml
 from tiny import BATCH, TINY
 
 from skatemount import cli
-from skatemount.checkpoint import load_training_state
 from skatemount.config import compose, from_dict, to_dict
-from skatemount.runs import RunFolder
+from skatemount.runs.checkpoint import load_training_state
+from skatemount.runs.folder import RunFolder
 from skatemount.train import train
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")

@@ -12,9 +12,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from skatemount.errors import ConfigError
-from skatemount.plots import plot_chain
-from skatemount.runs import RunFolder
+from skatemount.runs.folder import RunFolder
+from skatemount.training.plots import plot_chain
+from skatemount.utils.errors import ConfigError
 
 
 def main() -> None:

@@ -13,11 +13,11 @@ import argparse
 from pathlib import Path
 
 import skatemount
-from skatemount.agent import MODULE, Agent
-from skatemount.benchmark import report
-from skatemount.benchmark.results import Evaluation
-from skatemount.benchmark.trial import Trial, expand, load_suite
-from skatemount.checkpoint import save_policy
+from skatemount.agents.agent import MODULE, Agent
+from skatemount.evaluation import report
+from skatemount.evaluation.results import Evaluation
+from skatemount.evaluation.suite_task import Trial, expand, load_suite
+from skatemount.runs.checkpoint import save_policy
 
 LOCAL = ("checkpoint", "stage", "frames", "sha256", "record")
 """What an evaluation notes of its policy: the card says it itself, or it concerns one machine alone."""

@@ -14,13 +14,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from skatemount.curriculum.base import CurriculumConfig
+from skatemount.curriculum.config import CurriculumConfig
 from skatemount.curriculum.heatmap import draw_heat_map
 from skatemount.envs.mdp import Outcome
-from skatemount.envs.random import uniform
+from skatemount.envs.sampling import uniform
 from skatemount.envs.starts import Placement
 from skatemount.envs.state import EpisodeState
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 AXES = ("distance", "bearing", "heading", "height", "free")
 

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
+from skatemount.curriculum.config import CURRICULA, CurriculumConfig
 from skatemount.envs.mdp import Outcome
 from skatemount.envs.starts import Placement
 from skatemount.envs.state import EpisodeState
-from skatemount.errors import ConfigError
-
-CURRICULA = {"auto": "skatemount.curriculum.auto:AutoCurriculum"}
-"""Curricula of start states by their kind: ``module:Class``. A kind that is not here names its class itself."""
-
-KINDS = ("none", "stages", *CURRICULA)
+from skatemount.utils.errors import ConfigError
 
 
 class Curriculum(Protocol):
@@ -51,120 +46,6 @@ class Curriculum(Protocol):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
-
-
-@dataclass
-class StageLink:
-    """One stage in a chain of stages.
-
-    Attributes:
-        gate: Deterministic success in the training's evaluations that ends the stage; none if null.
-        budget: Share of the frames. A stage gets its part of all that is left, by the shares of the stages still to
-            come, so what one leaves over goes to the later ones.
-        renormalize: As in `skatemount.config.StageConfig`: for a stage that sees far less varied observations than the
-            one before, whose deviations would hide them.
-    """
-
-    gate: float | None = None
-    budget: float = 1.0
-    renormalize: bool = False
-
-
-@dataclass
-class CurriculumConfig:
-    """Which start states are practised when.
-
-    The automatic curriculum keeps a grid of bins: how far from the board, in which direction, how far the heading is
-    off, how high the step is, board fixed or free. A bin opens when a neighbour is solved.
-
-    Attributes:
-        kind: ``none`` (the stage's start ranges throughout), ``stages`` (several stages, one after the other),
-            ``auto``, or a `Curriculum` of one's own as ``module:Class``.
-        name: What a chain of stages is called.
-        stages: The stages of a chain, in order.
-        params: Settings of a curriculum of one's own.
-        distances: Upper edges of the rings about the board: the trunk's distance from the deck's centre in the plane,
-            m.
-        bearings: Upper edges of the direction from the deck's centre to the trunk, degrees off the board's long axis,
-            up to 90; the board is as symmetric as that.
-        headings: Upper edges of the heading's error modulo a half turn, degrees, up to 90.
-        heights: Upper edges of the step up to the deck, m; the last bin is always the board's own height.
-        lowest: Lower edge of the first of the heights, m.
-        free_after: Free boards join when this ring is solved on the fixed board at full height, m; null for fixed
-            boards alone.
-        steady: An episode counts as a success when its `EpisodeState.steadiness` exceeds this at the time limit;
-            milder than the real success, which exploration noise hides.
-        solved: A bin is solved when this share of its recent episodes succeeded.
-        memory: Recent episodes a bin's estimate is about.
-        least: Episodes a bin needs before it counts as solved.
-        replay: Share of the starts drawn from all open bins alike; the others go where success is neither rare nor
-            sure.
-        own: Share of the starts that are drawn from the stage's own ranges once every bin is open.
-        own_beyond: With them, bins farther out than this are left to them, m; none if null.
-        harvest: Share of the starts in the stage's own ranges that are instead states of earlier episodes in which a
-            robot was stuck: half-mounted more than two seconds after the first contact. With any kind but ``stages``.
-    """
-
-    kind: str = "none"
-    name: str = ""
-    stages: dict[str, StageLink] = field(default_factory=dict)
-    params: dict[str, Any] = field(default_factory=dict)
-    distances: list[float] = field(default_factory=lambda: [0.06, 0.12, 0.18, 0.24, 0.32, 0.4, 0.5, 0.65, 0.8, 1.05])
-    bearings: list[float] = field(default_factory=lambda: [30.0, 60.0, 90.0])
-    headings: list[float] = field(default_factory=lambda: [20.0, 50.0, 90.0])
-    heights: list[float] = field(default_factory=lambda: [0.02, 0.04, 0.065, 0.088])
-    lowest: float = 0.008
-    free_after: float | None = 0.3
-    steady: float = 0.6
-    solved: float = 0.5
-    memory: float = 40.0
-    least: float = 15.0
-    replay: float = 0.3
-    own: float = 0.0
-    own_beyond: float | None = None
-    harvest: float = 0.0
-
-    def validate(self, where: str = "curriculum") -> None:
-        """Raise `ConfigError` for settings that cannot be used."""
-        if self.kind not in KINDS and ":" not in self.kind:
-            raise ConfigError(
-                f"{where}.kind={self.kind} must be one of {', '.join(KINDS)}, or module:Class for one of your own"
-            )
-        self._validate_stages(where)
-        for name in ("distances", "bearings", "headings", "heights"):
-            edges = getattr(self, name)
-            if not edges or edges != sorted(set(edges)) or edges[0] <= 0:
-                raise ConfigError(f"{where}.{name}={edges} must be increasing numbers above 0")
-        for name in ("bearings", "headings"):
-            if (edges := getattr(self, name))[-1] > 90:
-                raise ConfigError(f"{where}.{name}={edges} must not exceed 90 degrees: a board has no front")
-        if not 0 < self.lowest < self.heights[0]:
-            raise ConfigError(f"{where}.lowest={self.lowest} must be above 0 and below heights[0]={self.heights[0]}")
-        for name in ("steady", "solved", "replay"):
-            if not 0 < getattr(self, name) < 1:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be a share between 0 and 1")
-        if not 0 <= self.own <= 1:
-            raise ConfigError(f"{where}.own={self.own} must be a share between 0 and 1")
-        if self.own_beyond is not None and not self.own_beyond >= self.distances[0]:
-            raise ConfigError(
-                f"{where}.own_beyond={self.own_beyond} must be null, or at least distances[0]={self.distances[0]} m: "
-                "some bins must be left"
-            )
-        if not 0 <= self.harvest < 1:
-            raise ConfigError(f"{where}.harvest={self.harvest} must be a share, 0 or more and below 1")
-        if self.harvest and self.kind == "stages":
-            raise ConfigError(f"{where}.harvest={self.harvest} must be 0 in a chain of stages")
-        if not self.memory > 0:
-            raise ConfigError(f"{where}.memory={self.memory} must be above 0")
-        if not 0 < self.least <= self.memory:
-            raise ConfigError(f"{where}.least={self.least} must be above 0 and at most memory={self.memory}")
-
-    def _validate_stages(self, where: str) -> None:
-        if self.kind == "stages" and not (self.stages and self.name):
-            raise ConfigError(f"{where}.kind=stages needs {where}.stages and {where}.name: choose +curriculum=paper")
-        for name, link in self.stages.items():
-            if not 0 < link.budget <= 1e9:
-                raise ConfigError(f"{where}.stages.{name}.budget={link.budget} must be a share above 0")
 
 
 def make_curriculum(

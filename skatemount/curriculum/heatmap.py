@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from torch import Tensor
 
-from skatemount import atomic
+from skatemount.runs import atomic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -3,57 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
-from skatemount.envs.random import uniform
+from skatemount.envs.config.commands import CommandConfig
+from skatemount.envs.sampling import uniform
 from skatemount.envs.state import EpisodeState, SimState
-from skatemount.errors import ConfigError, check_range
-
-MODES = ("sampled", "board", "zero")
-ENDS = ("nearer", "front")
-
-
-@dataclass
-class CommandConfig:
-    """Where velocity commands come from.
-
-    Attributes:
-        mode: ``sampled`` from the ranges, ``board`` (toward the board, see `toward_board`) or ``zero``.
-        turn_to: Which end of the board to turn to when commanded toward it: the ``nearer``, or its ``front`` (paper).
-        forward: Range of the forward velocity, m/s.
-        left: Range of the velocity to the left, m/s.
-        turn: Range of the turning rate, rad/s.
-        resample: Seconds until a sampled command is drawn anew.
-        standing: Share of sampled commands that are zero.
-        deadband: A sampled velocity in the plane smaller than this is set to zero, m/s.
-    """
-
-    mode: str = "board"
-    turn_to: str = "nearer"
-    forward: list[float] = field(default_factory=lambda: [-0.5, 1.0])
-    left: list[float] = field(default_factory=lambda: [-0.5, 0.5])
-    turn: list[float] = field(default_factory=lambda: [-1.0, 1.0])
-    resample: float = 10.0
-    standing: float = 0.02
-    deadband: float = 0.2
-
-    def validate(self, where: str = "command") -> None:
-        """Raise `ConfigError` for settings that cannot be used."""
-        if self.mode not in MODES:
-            raise ConfigError(f"{where}.mode={self.mode} must be one of {', '.join(MODES)}")
-        if self.turn_to not in ENDS:
-            raise ConfigError(f"{where}.turn_to={self.turn_to} must be one of {', '.join(ENDS)}")
-        for name in ("forward", "left", "turn"):
-            check_range(f"{where}.{name}", getattr(self, name))
-        if not 0 < self.resample < math.inf:
-            raise ConfigError(f"{where}.resample={self.resample} must be above 0 and finite, in seconds")
-        if not 0 <= self.standing <= 1:
-            raise ConfigError(f"{where}.standing={self.standing} must be a share between 0 and 1")
-        if not self.deadband >= 0:
-            raise ConfigError(f"{where}.deadband={self.deadband} must be 0 or more, in m/s")
 
 
 def toward_board(sim: SimState, facing: Tensor | None = None) -> Tensor:

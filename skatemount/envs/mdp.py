@@ -14,11 +14,11 @@ from torch import Tensor
 
 from skatemount.envs import success
 from skatemount.envs.commands import Commander
+from skatemount.envs.config.task import TaskConfig
 from skatemount.envs.geometry import facing
 from skatemount.envs.observations import ObservationTable
 from skatemount.envs.rewards import RewardTable
 from skatemount.envs.scene import Scene
-from skatemount.envs.settings import TaskConfig
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terminations import TerminationTable
 from skatemount.envs.terms import TaskContext
@@ -56,7 +56,7 @@ class Mdp:
     Attributes:
         context: Constants.
         device: Where states are expected: that of the generator.
-        criterion: What an episode must achieve, a name of `skatemount.envs.success.CRITERIA`.
+        criterion: What an episode must achieve, a name of `skatemount.envs.success.ACHIEVED`.
         observation: What the policy sees.
         privileged: What only the critic sees besides.
         rewards: Reward terms.
@@ -79,7 +79,7 @@ class Mdp:
         self._fade = math.exp(-self.context.control_step / 0.35)
         self.criterion = config.success
         self.enough = math.inf
-        self._succeeded = success.CRITERIA[config.success]
+        self._succeeded = success.ACHIEVED[config.success]
         self._noise = generator if seen.noise else None
         self._clip = robot.config.action_clip
 

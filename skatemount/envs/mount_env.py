@@ -11,14 +11,15 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from skatemount.devices import torch_threads
+from skatemount.envs.episode_statistics import EpisodeStatistics
 from skatemount.envs.mdp import Outcome
-from skatemount.envs.physics.base import Physics, WorldStart, make_physics
+from skatemount.envs.physics.base import Physics, WorldStart
+from skatemount.envs.physics.factory import make_physics
 from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.starts import Change, Place, StartQueue
 from skatemount.envs.state import EpisodeState, SimState
-from skatemount.envs.statistics import EpisodeStatistics
 from skatemount.envs.task import MountTask
+from skatemount.utils.devices import torch_threads
 
 Listener = Callable[[EpisodeState, Outcome, Tensor], None]
 

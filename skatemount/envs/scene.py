@@ -13,55 +13,12 @@ import mujoco
 import numpy as np
 from dm_control import mjcf
 
-from skatemount.envs.entities.a1 import A1, A1Config
+from skatemount.envs.config.board import SkateboardConfig
+from skatemount.envs.config.physics import SolverConfig
+from skatemount.envs.config.robot import A1Config
+from skatemount.envs.entities.a1 import A1
 from skatemount.envs.entities.arena import MountArena
-from skatemount.envs.entities.skateboard import WELD_SOLIMP, WELD_SOLREF, Skateboard, SkateboardConfig
-from skatemount.errors import ConfigError
-
-
-@dataclass
-class SolverConfig:
-    """Time stepping and MuJoCo solver settings.
-
-    Attributes:
-        timestep: Physics step, seconds.
-        substeps: Physics steps a control step.
-        solver: MuJoCo's constraint solver, ``Newton``, ``CG`` or ``PGS``.
-        iterations: Largest number of solver iterations.
-        ls_iterations: Largest number of line-search iterations.
-        tolerance: Improvement below which the solver stops early; mujoco_warp takes 1e-6 at the least.
-        cone: Friction cone, ``pyramidal`` or ``elliptic``.
-        impratio: Ratio of frictional to normal constraint impedance.
-    """
-
-    timestep: float = 0.005
-    substeps: int = 4
-    solver: str = "Newton"
-    iterations: int = 20
-    ls_iterations: int = 10
-    tolerance: float = 1e-8
-    cone: str = "pyramidal"
-    impratio: float = 1.0
-
-    @property
-    def control_step(self) -> float:
-        """Seconds between two actions."""
-        return self.timestep * self.substeps
-
-    def validate(self, where: str = "physics") -> None:
-        """Raise `ConfigError` for values that cannot be simulated."""
-        if not 1e-4 <= self.timestep <= 0.02:
-            raise ConfigError(f"{where}.timestep={self.timestep} must be within 0.0001 and 0.02 seconds")
-        if not 0 <= self.tolerance <= 1:
-            raise ConfigError(f"{where}.tolerance={self.tolerance} must be within 0 and 1")
-        if not 0 < self.impratio <= 1000:
-            raise ConfigError(f"{where}.impratio={self.impratio} must be above 0 and at most 1000")
-        for name in ("substeps", "iterations", "ls_iterations"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
-        for name, known in (("solver", ("Newton", "CG", "PGS")), ("cone", ("pyramidal", "elliptic"))):
-            if getattr(self, name) not in known:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be one of {', '.join(known)}")
+from skatemount.envs.entities.skateboard import WELD_SOLIMP, WELD_SOLREF, Skateboard
 
 
 class Scene:

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from skatemount.envs.config.task import HOLD
 from skatemount.envs.geometry import beyond_rectangle
 from skatemount.envs.state import EpisodeState, SimState
 
@@ -14,8 +15,6 @@ PRESS = 1.0
 """Contact force that counts as a contact, N."""
 FLICKER = 0.1
 """How long a foot's contact with the deck may be interrupted, s."""
-HOLD = 1.0
-"""How long the robot must have stood on the board at the end of an episode, s."""
 MAX_VELOCITY_ERROR = 0.25
 """Mean error of the velocity in the plane that still counts as following the command, m/s."""
 MAX_TURN_ERROR = 0.3
@@ -104,7 +103,7 @@ def followed(episode: EpisodeState, control_step: float) -> Tensor:
     return (mean[:, 0] < MAX_VELOCITY_ERROR) & (mean[:, 1] < MAX_TURN_ERROR)
 
 
-CRITERIA = {"mount": stood, "gait": followed}
+ACHIEVED = {"mount": stood, "gait": followed}
 """What an episode must achieve to succeed, besides lasting until its time limit."""
 
 

@@ -14,12 +14,12 @@ from dm_control import composer
 from dm_control.composer.observation import observable
 from torch import Tensor
 
+from skatemount.envs.config.task import TaskConfig
 from skatemount.envs.legs import Legs
 from skatemount.envs.mdp import Mdp, Outcome
 from skatemount.envs.physics.base import WorldStart
 from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.scene import Scene, SceneIndex
-from skatemount.envs.settings import TaskConfig
 from skatemount.envs.starts import Place, StartSampler
 from skatemount.envs.state import EpisodeState, SimState, StateReader
 from skatemount.envs.terms import TaskContext

@@ -4,29 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from skatemount.envs import success
+from skatemount.envs.config.terms import TerminationTerm
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import Registry, TaskContext
-
-
-@dataclass
-class TerminationTerm:
-    """One row of the termination table.
-
-    Attributes:
-        enabled: Whether it counts.
-        params: Parameters of the term's function.
-    """
-
-    enabled: bool = True
-    params: dict[str, Any] = field(default_factory=dict)
-
 
 TERMINATIONS = Registry("termination")
 

@@ -21,7 +21,7 @@ from torch import Tensor
 from skatemount.envs.legs import Legs
 from skatemount.envs.scene import Scene
 from skatemount.envs.state import SimState
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 TermFunction = Callable[..., Tensor]
 

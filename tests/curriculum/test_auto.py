@@ -10,10 +10,10 @@ import torch
 
 from skatemount.config import compose
 from skatemount.curriculum.auto import AutoCurriculum
-from skatemount.curriculum.base import CurriculumConfig
+from skatemount.curriculum.config import CurriculumConfig
 from skatemount.envs.mdp import Outcome
 from skatemount.envs.state import EpisodeState
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 HEIGHT = 0.088
 

@@ -10,9 +10,10 @@ import pytest
 
 from skatemount.config import compose
 from skatemount.curriculum.auto import AutoCurriculum
-from skatemount.curriculum.base import CurriculumConfig, make_curriculum
-from skatemount.errors import ConfigError
-from skatemount.training import Trainer
+from skatemount.curriculum.base import make_curriculum
+from skatemount.curriculum.config import CurriculumConfig
+from skatemount.training.trainer import Trainer
+from skatemount.utils.errors import ConfigError
 
 OWN = '''
 import torch

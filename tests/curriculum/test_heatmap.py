@@ -9,7 +9,7 @@ import torch
 from matplotlib.image import imread
 
 from skatemount.curriculum.auto import AutoCurriculum
-from skatemount.curriculum.base import CurriculumConfig
+from skatemount.curriculum.config import CurriculumConfig
 
 
 def coloured(path: Path) -> float:

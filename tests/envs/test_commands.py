@@ -8,10 +8,11 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from skatemount.envs.commands import CommandConfig, Commander, toward_board
+from skatemount.envs.commands import Commander, toward_board
+from skatemount.envs.config.commands import CommandConfig
 from skatemount.envs.geometry import facing
 from skatemount.envs.state import EpisodeState, SimState
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 MakeState = Callable[..., SimState]
 MakeEpisode = Callable[..., EpisodeState]

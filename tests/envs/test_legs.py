@@ -7,7 +7,8 @@ import torch
 from dm_control import mjcf
 from torch import Tensor
 
-from skatemount.envs.entities.a1 import A1, A1Config
+from skatemount.envs.config.robot import A1Config
+from skatemount.envs.entities.a1 import A1
 from skatemount.envs.legs import Legs
 
 VARIANTS = ("unitree", "isaac")

@@ -9,14 +9,15 @@ import torch
 from torch import Tensor
 
 from skatemount.config import Config, compose, config_dir
+from skatemount.envs.config.terms import ObservationTerm, RewardTerm
 from skatemount.envs.mirror import mirror_map
-from skatemount.envs.observations import OBSERVATIONS, ObservationTable, ObservationTerm
+from skatemount.envs.observations import OBSERVATIONS, ObservationTable
 from skatemount.envs.physics.base import WorldStart
 from skatemount.envs.physics.cpu import CpuPhysics
-from skatemount.envs.rewards import REWARDS, RewardTable, RewardTerm
+from skatemount.envs.rewards import REWARDS, RewardTable
 from skatemount.envs.task import MountTask
 from skatemount.envs.terms import TaskContext
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 TABLES = sorted(path.stem for path in (config_dir() / "observation").glob("*.yaml"))
 Y = torch.tensor([1.0, -1.0, 1.0])

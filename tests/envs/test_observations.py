@@ -13,12 +13,13 @@ import torch
 from skatemount.config import compose
 from skatemount.envs import MountTask
 from skatemount.envs.commands import toward_board
+from skatemount.envs.config.terms import ObservationTerm
 from skatemount.envs.geometry import facing
-from skatemount.envs.observations import OBSERVATIONS, ObservationTable, ObservationTerm
+from skatemount.envs.observations import OBSERVATIONS, ObservationTable
 from skatemount.envs.observations.terms import outline_points
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import TaskContext
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 MakeState = Callable[..., SimState]
 MakeEpisode = Callable[..., EpisodeState]

@@ -3,9 +3,10 @@ from __future__ import annotations
 import pytest
 
 from skatemount.envs import MountTask
-from skatemount.envs.physics import CpuPhysics, make_physics
-from skatemount.envs.physics.base import PhysicsConfig
-from skatemount.errors import ConfigError
+from skatemount.envs.config.physics import PhysicsConfig
+from skatemount.envs.physics import CpuPhysics
+from skatemount.envs.physics.factory import make_physics
+from skatemount.utils.errors import ConfigError
 
 
 def test_the_engine_is_chosen_by_its_settings() -> None:

@@ -12,17 +12,18 @@ from mujoco_warp import OverflowType
 from tiny import TINY
 from torch import Tensor
 
-from skatemount.agent import Agent
-from skatemount.benchmark.trial import Trial, load_suite
+from skatemount.agents.agent import Agent
 from skatemount.config import compose
 from skatemount.envs import MountEnv, MountTask
-from skatemount.envs.physics import make_physics
-from skatemount.envs.physics.base import Physics, PhysicsConfig, WorldStart
+from skatemount.envs.config.physics import PhysicsConfig
+from skatemount.envs.physics.base import Physics, WorldStart
+from skatemount.envs.physics.factory import make_physics
 from skatemount.envs.randomization import Randomizer
 from skatemount.envs.state import SimState
-from skatemount.errors import ConfigError
-from skatemount.speed.measure import measure_point
-from skatemount.training import Trainer
+from skatemount.evaluation.suite_task import Trial, load_suite
+from skatemount.profiling.measure import measure_point
+from skatemount.training.trainer import Trainer
+from skatemount.utils.errors import ConfigError
 
 WORLDS, SUBSTEPS = 24, 4
 VARIED = ["start.board_fixed=0.5", "start.step_height=[0.0,0.088]", "start.force=[-3.0,3.0]"]

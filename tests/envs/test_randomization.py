@@ -9,10 +9,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from skatemount.envs.config.randomization import RandomizationConfig
 from skatemount.envs.entities.a1 import KD_INDEX, KP_INDEX
-from skatemount.envs.randomization import Pushes, RandomizationConfig, Randomizer
+from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.scene import Scene, SceneIndex
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 WORLDS = 400
 

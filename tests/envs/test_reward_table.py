@@ -8,10 +8,11 @@ from collections.abc import Callable
 import pytest
 
 from skatemount.config import compose
-from skatemount.envs.rewards import REWARDS, RewardTable, RewardTerm
+from skatemount.envs.config.terms import RewardTerm
+from skatemount.envs.rewards import REWARDS, RewardTable
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import TaskContext
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 MakeState = Callable[..., SimState]
 MakeEpisode = Callable[..., EpisodeState]

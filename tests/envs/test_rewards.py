@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 import torch
 
-from skatemount.envs.rewards import REWARDS, RewardTable, RewardTerm
+from skatemount.envs.config.terms import RewardTerm
+from skatemount.envs.rewards import REWARDS, RewardTable
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import TaskContext
 

@@ -10,10 +10,11 @@ from torch import Tensor
 
 from skatemount.config import compose, stages
 from skatemount.envs import MountTask
+from skatemount.envs.config.starts import StartConfig
 from skatemount.envs.physics import CpuPhysics
 from skatemount.envs.physics.base import WorldStart
-from skatemount.envs.starts import Placement, StartConfig, StartQueue
-from skatemount.errors import ConfigError
+from skatemount.envs.starts import Placement, StartQueue
+from skatemount.utils.errors import ConfigError
 
 STARTS = 1500
 

@@ -12,7 +12,7 @@ from tensordict import TensorDict
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.physics.base import WorldStart
 from skatemount.envs.starts import StartSampler
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 QUIET = ["randomization=none", "observation.noise=false"]
 # Float32 sums over one row and over many may round differently; nothing else may differ.

@@ -8,10 +8,11 @@ from collections.abc import Callable
 import pytest
 
 from skatemount.config import compose
+from skatemount.envs.config.terms import TerminationTerm
 from skatemount.envs.state import EpisodeState, SimState
-from skatemount.envs.terminations import TERMINATIONS, TerminationTable, TerminationTerm
+from skatemount.envs.terminations import TERMINATIONS, TerminationTable
 from skatemount.envs.terms import TaskContext
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 MakeState = Callable[..., SimState]
 MakeEpisode = Callable[..., EpisodeState]

@@ -12,12 +12,12 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from skatemount import config as configuration
-from skatemount.agent import Agent
-from skatemount.benchmark.trial import Trial, load_suite, trial_config
+from skatemount.agents.agent import Agent
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.physics.base import WorldStart
+from skatemount.evaluation.suite_task import Trial, load_suite, trial_config
 from skatemount.losses.ppo import PPO
-from skatemount.training import make_networks
+from skatemount.training.trainer import make_networks
 
 
 def _compose(line: str) -> configuration.Config:

@@ -7,12 +7,12 @@ from typing import Any
 import mujoco
 import numpy as np
 import torch
+from skatemount.agent import Agent
+from skatemount.benchmark.trial import Trial, load_suite, trial_config
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from skatemount import config as configuration
-from skatemount.agent import Agent
-from skatemount.benchmark.trial import Trial, load_suite, trial_config
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.physics.base import WorldStart
 from skatemount.losses.ppo import PPO

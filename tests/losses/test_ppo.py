@@ -11,9 +11,11 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from skatemount.errors import ConfigError
-from skatemount.losses.ppo import PPO, AlgorithmConfig
-from skatemount.models import ActorCritic, NetworkConfig
+from skatemount.losses.config import AlgorithmConfig
+from skatemount.losses.ppo import PPO
+from skatemount.models.actor_critic import ActorCritic
+from skatemount.models.config import NetworkConfig
+from skatemount.utils.errors import ConfigError
 
 STEP = 0.04
 OBSERVATION, PRIVILEGED, ACTIONS = 6, 3, 4

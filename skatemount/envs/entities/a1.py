@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from dm_control import composer, mjcf
 
+from skatemount.envs.config.robot import A1Config
 from skatemount.envs.entities import a1_links as links
-from skatemount.envs.entities.a1_config import A1Config
 from skatemount.envs.entities.a1_links import LegKinematics
 from skatemount.envs.entities.a1_visuals import add_leg_visuals, add_materials, add_trunk_visuals
 

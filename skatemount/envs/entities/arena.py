@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dm_control import composer, mjcf
 
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 _IMAGE_WIDTH = 1920
 _IMAGE_HEIGHT = 1080

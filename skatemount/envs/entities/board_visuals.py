@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from dm_control import mjcf
 
-from skatemount.envs.entities.skateboard_config import SkateboardConfig
+from skatemount.envs.config.board import SkateboardConfig
 
 VISUAL_GROUP = 2
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from dm_control import composer, mjcf
 
+from skatemount.envs.config.board import SkateboardConfig
 from skatemount.envs.entities import board_visuals
-from skatemount.envs.entities.skateboard_config import SkateboardConfig
 
 __all__ = ["WELD_SOLIMP", "WELD_SOLREF", "Skateboard", "SkateboardConfig"]
 

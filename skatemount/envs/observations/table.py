@@ -4,36 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from skatemount.envs.config.terms import ObservationTerm
 from skatemount.envs.mirror import mirror_map
-from skatemount.envs.random import coarse_noise
+from skatemount.envs.sampling import coarse_noise
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import Registry, TaskContext
-from skatemount.errors import ConfigError
-
-
-@dataclass
-class ObservationTerm:
-    """One row of the observation table.
-
-    Attributes:
-        scale: Factor applied last.
-        noise: Half width of the uniform noise added first, in the term's own unit.
-        clip: Bound on the absolute value, applied after the noise; none if null.
-        history_length: Frames of it in the vector, the present one included, oldest first; null takes the table's.
-        params: Parameters of the term's function.
-    """
-
-    scale: float = 1.0
-    noise: float = 0.0
-    clip: float | None = None
-    history_length: int | None = None
-    params: dict[str, Any] = field(default_factory=dict)
+from skatemount.utils.errors import ConfigError
 
 
 @dataclass(frozen=True)

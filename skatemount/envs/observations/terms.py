@@ -12,7 +12,7 @@ from skatemount.envs.geometry import rotate_inverse
 from skatemount.envs.observations.table import observation
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import TaskContext
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 
 @observation(3, "axial")

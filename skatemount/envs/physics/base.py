@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -12,42 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from skatemount.envs.scene import Scene, SceneIndex, SolverConfig
+from skatemount.envs.scene import SceneIndex
 from skatemount.envs.state import SimState
-from skatemount.errors import ConfigError
-
-
-@dataclass
-class PhysicsConfig(SolverConfig):
-    """Which engine steps how many worlds.
-
-    Attributes:
-        engine: ``cpu`` (`mujoco.batch` on threads) or ``warp`` (mujoco_warp, for a GPU).
-        num_worlds: Worlds stepped together.
-        threads: Physics threads of ``cpu``; 0 takes every core.
-        device: Of ``warp``: ``auto`` (a GPU if there is one, else the CPU), ``cuda``, ``cuda:1`` or ``cpu``.
-        max_contacts: Contacts of a world that ``warp`` has memory for, on average over the worlds; a contact sensor
-            adds up a third as many.
-        max_constraints: Constraint rows of a world that ``warp`` has memory for.
-    """
-
-    engine: str = "cpu"
-    num_worlds: int = 1024
-    threads: int = 0
-    device: str = "auto"
-    max_contacts: int = 48
-    max_constraints: int = 160
-
-    def validate(self, where: str = "physics") -> None:
-        """Raise `ConfigError` for values that cannot be simulated."""
-        super().validate(where)
-        if self.engine not in ENGINES:
-            raise ConfigError(f"{where}.engine={self.engine} must be one of {', '.join(sorted(ENGINES))}")
-        for name in ("num_worlds", "max_contacts", "max_constraints"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
-        if self.threads < 0:
-            raise ConfigError(f"{where}.threads={self.threads} must be 0 (every core) or more")
 
 
 class Physics(Protocol):
@@ -205,46 +169,3 @@ def show(
     data.qpos[:], data.qvel[:], data.mocap_pos[:] = qpos, qvel, mocap_pos
     mujoco.mj_forward(model, data)
     return model, data
-
-
-def _cpu(scene: Scene, config: PhysicsConfig) -> Physics:
-    from skatemount.envs.physics.cpu import CpuPhysics
-
-    if config.device not in ("auto", "cpu"):
-        raise ConfigError(f"physics.device={config.device} goes with physics.engine=warp, but the engine is cpu")
-    return CpuPhysics(scene, config.num_worlds, config.threads)
-
-
-def _warp(scene: Scene, config: PhysicsConfig) -> Physics:
-    try:
-        import warp
-
-        # Before anything of it is used: it tells of every device and module it loads.
-        warp.config.log_level = warp.LOG_WARNING
-        from skatemount.envs.physics.warp import WarpPhysics
-    except ImportError as error:
-        raise ConfigError(
-            f"physics.engine=warp needs mujoco-warp and warp-lang ({error}): pip install 'skatemount[warp]'"
-        ) from error
-    return WarpPhysics(scene, config.num_worlds, config.device, config.max_contacts, config.max_constraints)
-
-
-ENGINES: dict[str, Callable[[Scene, PhysicsConfig], Physics]] = {"cpu": _cpu, "warp": _warp}
-
-
-def make_physics(
-    scene: Scene, config: PhysicsConfig, num_worlds: int | None = None, threads: int | None = None
-) -> Physics:
-    """Start the engine that the settings name.
-
-    Args:
-        scene: The scene, compiled by the engine.
-        config: Engine, number of worlds and threads.
-        num_worlds: Instead of the settings' number.
-        threads: Instead of the settings' number.
-    """
-    config = dataclasses.replace(config)
-    config.num_worlds = config.num_worlds if num_worlds is None else num_worlds
-    config.threads = config.threads if threads is None else threads
-    config.validate()
-    return ENGINES[config.engine](scene, config)

@@ -14,10 +14,10 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from skatemount.devices import choose_device
 from skatemount.envs.physics.base import WorldStart, show
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState, StateReader
+from skatemount.utils.devices import choose_device
 
 RANDOMISED = ("geom_friction", "jnt_stiffness", "body_mass", "body_inertia", "body_ipos", "actuator_gainprm")
 """Model fields with a value for each world."""

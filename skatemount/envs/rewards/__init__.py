@@ -1,6 +1,7 @@
 """Reward terms and the table that weighs them."""
 
-from skatemount.envs.rewards import base, skate
-from skatemount.envs.rewards.table import REWARDS, RewardTable, RewardTerm
+from skatemount.envs.config.terms import RewardTerm
+from skatemount.envs.rewards import board, locomotion
+from skatemount.envs.rewards.table import REWARDS, RewardTable
 
-__all__ = ["REWARDS", "RewardTable", "RewardTerm", "base", "skate"]
+__all__ = ["REWARDS", "RewardTable", "RewardTerm", "board", "locomotion"]

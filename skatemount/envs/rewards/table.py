@@ -4,33 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from skatemount.envs.config.terms import RewardTerm
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import Registry, TaskContext, upright
-from skatemount.errors import ConfigError
-
-
-@dataclass
-class RewardTerm:
-    """One row of the reward table.
-
-    Attributes:
-        weight: 0 or more. Per second, or, for an event, each time it happens. Whether the term is added or
-            subtracted is a property of the term.
-        upright: Multiply by how upright the trunk is, as the paper's code does on most of its terms.
-        clip: Largest value of the term before it is weighed; none if null.
-        params: Parameters of the term's function.
-    """
-
-    weight: float = 0.0
-    upright: bool = False
-    clip: float | None = None
-    params: dict[str, Any] = field(default_factory=dict)
+from skatemount.utils.errors import ConfigError
 
 
 @dataclass(frozen=True)

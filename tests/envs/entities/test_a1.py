@@ -10,9 +10,10 @@ from dm_control import composer, mjcf
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from skatemount.envs.entities.a1 import A1, KD_INDEX, KP_INDEX, A1Config, scale_gains
+from skatemount.envs.config.robot import A1Config
+from skatemount.envs.entities.a1 import A1, KD_INDEX, KP_INDEX, scale_gains
 from skatemount.envs.entities.a1_links import LEGS, calf_inertial, leg_signs
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 VARIANTS = ("unitree", "isaac")
 TORQUE, SPEED = 33.5, 21.0

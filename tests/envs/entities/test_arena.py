@@ -8,7 +8,7 @@ import pytest
 from dm_control import mjcf
 
 from skatemount.envs.entities.arena import MountArena
-from skatemount.errors import ConfigError
+from skatemount.utils.errors import ConfigError
 
 
 def drop(arena: MountArena, contype: int, conaffinity: int, physics_steps: int = 400):

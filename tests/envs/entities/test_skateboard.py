@@ -11,14 +11,10 @@ from dm_control import mjcf
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+from skatemount.envs.config.board import SkateboardConfig
 from skatemount.envs.entities.arena import MountArena
-from skatemount.envs.entities.skateboard import (
-    WELD_SOLIMP,
-    WELD_SOLREF,
-    Skateboard,
-    SkateboardConfig,
-)
-from skatemount.errors import ConfigError
+from skatemount.envs.entities.skateboard import WELD_SOLIMP, WELD_SOLREF, Skateboard
+from skatemount.utils.errors import ConfigError
 
 PRESETS = ("default", "paper_text", "isaac", "longboard", "mini")
 GRAVITY = 9.81

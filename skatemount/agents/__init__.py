@@ -1,0 +1,1 @@
+"""Trained policies: loading, what they see and do, growing and joining them."""

@@ -1,0 +1,51 @@
+"""Suites of MountBench: fixed, versioned tests, each a file in ``conf/suite/``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from skatemount.utils.errors import ConfigError
+
+
+@dataclass
+class SuiteConfig:
+    """A test, the same for every policy.
+
+    It is a stage's task with changes; robot, observation and control rate are the policy's own. A result is quoted with
+    the suite's name and version, so whoever changes what is tested raises the version.
+
+    Attributes:
+        name: Of the suite, as its file is called.
+        version: Raised whenever results can no longer be compared with earlier ones.
+        description: One line.
+        stage: The stage whose task it builds on.
+        overrides: Changes to that task, in Hydra's syntax.
+        variants: Further changes by name, where the suite is made of several tasks; episodes take them in turn.
+        members: Names of other suites, instead of a stage: each of them is run.
+        seed: What its worlds and start states are drawn from, along with the user's seed. Suites with the same seed
+            share both as far as their settings allow.
+    """
+
+    name: str = ""
+    version: int = 1
+    description: str = ""
+    stage: str = ""
+    overrides: list[str] = field(default_factory=list)
+    variants: dict[str, list[str]] = field(default_factory=dict)
+    members: list[str] = field(default_factory=list)
+    seed: int = 0
+
+    def validate(self, where: str = "suite") -> None:
+        """Raise `ConfigError` for a suite that says what it cannot be."""
+        if not self.name:
+            raise ConfigError(f"{where}.name='' must be the name of the suite's file")
+        if self.version < 1:
+            raise ConfigError(f"{where}.version={self.version} must be at least 1")
+        if bool(self.stage) == bool(self.members):
+            raise ConfigError(
+                f"{where}.stage={self.stage!r} and {where}.members={self.members}: a suite has one of the two"
+            )
+        if self.members and (self.overrides or self.variants):
+            raise ConfigError(f"{where}.members={self.members}: such a suite has no overrides or variants of its own")
+        if not 0 <= self.seed < 2**62:
+            raise ConfigError(f"{where}.seed={self.seed} must be 0 or more, and less than 2**62")

@@ -1,0 +1,1 @@
+"""Settings of the task, without torch or MuJoCo."""

@@ -1,0 +1,87 @@
+"""Settings of solver and engine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from skatemount.utils.errors import ConfigError
+
+ENGINES = ("cpu", "warp")
+
+
+@dataclass
+class SolverConfig:
+    """Time stepping and MuJoCo solver settings.
+
+    Attributes:
+        timestep: Physics step, seconds.
+        substeps: Physics steps a control step.
+        solver: MuJoCo's constraint solver, ``Newton``, ``CG`` or ``PGS``.
+        iterations: Largest number of solver iterations.
+        ls_iterations: Largest number of line-search iterations.
+        tolerance: Improvement below which the solver stops early; mujoco_warp takes 1e-6 at the least.
+        cone: Friction cone, ``pyramidal`` or ``elliptic``.
+        impratio: Ratio of frictional to normal constraint impedance.
+    """
+
+    timestep: float = 0.005
+    substeps: int = 4
+    solver: str = "Newton"
+    iterations: int = 20
+    ls_iterations: int = 10
+    tolerance: float = 1e-8
+    cone: str = "pyramidal"
+    impratio: float = 1.0
+
+    @property
+    def control_step(self) -> float:
+        """Seconds between two actions."""
+        return self.timestep * self.substeps
+
+    def validate(self, where: str = "physics") -> None:
+        """Raise `ConfigError` for values that cannot be simulated."""
+        if not 1e-4 <= self.timestep <= 0.02:
+            raise ConfigError(f"{where}.timestep={self.timestep} must be within 0.0001 and 0.02 seconds")
+        if not 0 <= self.tolerance <= 1:
+            raise ConfigError(f"{where}.tolerance={self.tolerance} must be within 0 and 1")
+        if not 0 < self.impratio <= 1000:
+            raise ConfigError(f"{where}.impratio={self.impratio} must be above 0 and at most 1000")
+        for name in ("substeps", "iterations", "ls_iterations"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
+        for name, known in (("solver", ("Newton", "CG", "PGS")), ("cone", ("pyramidal", "elliptic"))):
+            if getattr(self, name) not in known:
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be one of {', '.join(known)}")
+
+
+@dataclass
+class PhysicsConfig(SolverConfig):
+    """Which engine steps how many worlds.
+
+    Attributes:
+        engine: ``cpu`` (`mujoco.batch` on threads) or ``warp`` (mujoco_warp, for a GPU).
+        num_worlds: Worlds stepped together.
+        threads: Physics threads of ``cpu``; 0 takes every core.
+        device: Of ``warp``: ``auto`` (a GPU if there is one, else the CPU), ``cuda``, ``cuda:1`` or ``cpu``.
+        max_contacts: Contacts of a world that ``warp`` has memory for, on average over the worlds; a contact sensor
+            adds up a third as many.
+        max_constraints: Constraint rows of a world that ``warp`` has memory for.
+    """
+
+    engine: str = "cpu"
+    num_worlds: int = 1024
+    threads: int = 0
+    device: str = "auto"
+    max_contacts: int = 48
+    max_constraints: int = 160
+
+    def validate(self, where: str = "physics") -> None:
+        """Raise `ConfigError` for values that cannot be simulated."""
+        super().validate(where)
+        if self.engine not in ENGINES:
+            raise ConfigError(f"{where}.engine={self.engine} must be one of {', '.join(ENGINES)}")
+        for name in ("num_worlds", "max_contacts", "max_constraints"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
+        if self.threads < 0:
+            raise ConfigError(f"{where}.threads={self.threads} must be 0 (every core) or more")

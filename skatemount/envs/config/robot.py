@@ -1,0 +1,82 @@
+"""Settings of the Unitree A1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from skatemount.envs.entities import a1_links as links
+from skatemount.utils.errors import ConfigError
+
+
+@dataclass
+class A1Config:
+    """Settings of the robot.
+
+    Attributes:
+        variant: Link table: "unitree" (12.453 kg, the published robot) or "isaac" (13.741 kg, the
+            one the paper trained with).
+        kp: Position gain of every joint, N m/rad.
+        kd: Velocity gain of every joint, N m s/rad.
+        torque_limit: Largest torque T of a motor, N m.
+        speed_limit: Speed V at which a motor has no torque left, rad/s.
+        hip_inward: Default hip angle, rad; narrows the stance (right +, left -).
+        thigh: Default thigh angle, rad.
+        calf: Default calf angle, rad.
+        action_scale_hip: Joint target offset per unit of action at the hips, rad.
+        action_scale_thigh: The same at the thighs, rad.
+        action_scale_calf: The same at the calves, rad.
+        action_clip: Actions are limited to +- this before they are scaled.
+        joint_friction: Dry friction of every joint, N m.
+        joint_damping: Viscous friction of every joint, N m s/rad.
+        armature: Rotor inertia as seen at the joint, kg m^2.
+        foot_friction: Sliding friction coefficient of the feet. MuJoCo takes the larger one of a
+            contact's two geoms.
+    """
+
+    variant: str = "unitree"
+    kp: float = 35.0
+    kd: float = 0.7
+    torque_limit: float = 33.5
+    speed_limit: float = 21.0
+    hip_inward: float = 0.15
+    thigh: float = 0.8
+    calf: float = -1.5
+    action_scale_hip: float = 0.2
+    action_scale_thigh: float = 0.35
+    action_scale_calf: float = 0.35
+    action_clip: float = 6.0
+    joint_friction: float = 0.0
+    joint_damping: float = 0.0
+    armature: float = 0.01
+    foot_friction: float = 0.8
+
+    def validate(self, where: str = "robot") -> None:
+        """Checks every setting.
+
+        Args:
+            where: The name of the group, for the message.
+
+        Raises:
+            ConfigError: A setting is out of its range.
+        """
+        if self.variant not in links.VARIANTS:
+            known = ", ".join(links.VARIANTS)
+            raise ConfigError(f"{where}.variant is {self.variant!r}; use one of: {known}")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name != "variant" and not np.isfinite(value):
+                raise ConfigError(f"{where}.{field.name} is {value}; use a finite number")
+        for name in ("kp", "torque_limit", "speed_limit", "action_clip"):
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"{where}.{name} is {getattr(self, name)}; use a number > 0")
+        scales = ("action_scale_hip", "action_scale_thigh", "action_scale_calf")
+        passive = ("kd", "joint_friction", "joint_damping", "armature", "foot_friction")
+        for name in scales + passive:
+            if getattr(self, name) < 0:
+                raise ConfigError(f"{where}.{name} is {getattr(self, name)}; use a number >= 0")
+        for name, link in (("hip_inward", "hip"), ("thigh", "thigh"), ("calf", "calf")):
+            low, high = links.JOINT_RANGES[link]
+            if not low <= getattr(self, name) <= high:
+                raise ConfigError(f"{where}.{name} is {getattr(self, name)}; use an angle in [{low}, {high}] rad")

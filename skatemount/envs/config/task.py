@@ -1,0 +1,138 @@
+"""Settings of the task: everything a `MountTask` is built from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from skatemount.envs.config.board import SkateboardConfig
+from skatemount.envs.config.commands import CommandConfig
+from skatemount.envs.config.physics import PhysicsConfig
+from skatemount.envs.config.randomization import RandomizationConfig
+from skatemount.envs.config.robot import A1Config
+from skatemount.envs.config.starts import StartConfig
+from skatemount.envs.config.terms import ObservationTerm, RewardTerm, TerminationTerm
+from skatemount.utils.errors import ConfigError
+
+CRITERIA = ("mount", "gait")
+HOLD = 1.0
+"""How long the robot must have stood on the board at the end of an episode, s."""
+
+
+def _terms(kind: type, table: dict[str, Any], where: str) -> dict[str, Any]:
+    """A table's rows as dataclasses.
+
+    The tables are declared with rows of any type: Hydra could not add a row (`reward.still.weight=1`) to a table of
+    dataclasses.
+    """
+    rows = {}
+    for name, row in table.items():
+        if isinstance(row, kind):
+            rows[name] = row
+            continue
+        known = [f.name for f in fields(kind)]
+        if row is not None and not isinstance(row, dict):
+            raise ConfigError(f"{where}.{name}={row} must be a term's settings, of {', '.join(known)}")
+        for key, value in (row or {}).items():
+            if key not in known:
+                raise ConfigError(f"{where}.{name}.{key}={value} is not a setting of a term; known: {', '.join(known)}")
+        try:
+            rows[name] = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(kind), row or {}))
+        except (OmegaConfBaseException, ValueError) as error:
+            said = str(error).splitlines()[0]
+            raise ConfigError(f"{where}.{name}={row}: {said}") from error
+    return rows
+
+
+@dataclass
+class ObservationConfig:
+    """What is seen.
+
+    Attributes:
+        policy: `ObservationTerm` by name, of the actor's observation, in order.
+        privileged: Likewise, what only the critic sees besides.
+        noise: Whether the policy's terms get their noise.
+        history_length: Frames of each of the policy's terms that does not say how many: the present one and those of
+            the control steps before it.
+    """
+
+    policy: dict[str, Any] = field(default_factory=dict)
+    privileged: dict[str, Any] = field(default_factory=dict)
+    noise: bool = True
+    history_length: int = 1
+
+    def __post_init__(self) -> None:
+        self.policy = _terms(ObservationTerm, self.policy, "observation.policy")
+        self.privileged = _terms(ObservationTerm, self.privileged, "observation.privileged")
+
+
+@dataclass
+class TaskConfig:
+    """Settings of the task.
+
+    Attributes:
+        episode_length: Seconds.
+        success: What an episode must achieve: ``mount`` (stand on the board at its end) or ``gait`` (follow the
+            command).
+        robot: The A1.
+        board: The skateboard.
+        physics: Time step, solver, engine.
+        observation: What is seen.
+        reward: `RewardTerm` by name.
+        termination: `TerminationTerm` by name.
+        start: Start states.
+        command: Velocity commands.
+        randomization: Randomised physics and pushes.
+    """
+
+    episode_length: float = 5.0
+    success: str = "mount"
+    robot: A1Config = field(default_factory=A1Config)
+    board: SkateboardConfig = field(default_factory=SkateboardConfig)
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
+    reward: dict[str, Any] = field(default_factory=dict)
+    termination: dict[str, Any] = field(default_factory=dict)
+    start: StartConfig = field(default_factory=StartConfig)
+    command: CommandConfig = field(default_factory=CommandConfig)
+    randomization: RandomizationConfig = field(default_factory=RandomizationConfig)
+
+    def __post_init__(self) -> None:
+        self.reward = _terms(RewardTerm, self.reward, "reward")
+        self.termination = _terms(TerminationTerm, self.termination, "termination")
+
+    def validate(self) -> None:
+        """Raise `ConfigError` for the first setting that cannot be used."""
+        if not 0 < self.episode_length < math.inf:
+            raise ConfigError(f"episode_length={self.episode_length} must be above 0 seconds, and finite")
+        if self.success not in CRITERIA:
+            raise ConfigError(f"success={self.success} must be one of {', '.join(CRITERIA)}")
+        for name, term in self.observation.privileged.items():
+            if term.history_length not in (None, 1):
+                raise ConfigError(
+                    f"observation.privileged.{name}.history_length={term.history_length} must be null: only what the "
+                    "policy sees has a history"
+                )
+        for part in ("robot", "board", "physics", "start", "command", "randomization"):
+            getattr(self, part).validate(part)
+        self._validate_terms()
+
+    def _validate_terms(self) -> None:
+        # Only here: the terms are functions of tensors, and torch takes seconds to import.
+        from skatemount.envs.observations import OBSERVATIONS
+        from skatemount.envs.rewards import REWARDS
+        from skatemount.envs.terminations import TERMINATIONS
+
+        tables = (
+            (REWARDS, self.reward),
+            (TERMINATIONS, self.termination),
+            (OBSERVATIONS, self.observation.policy),
+            (OBSERVATIONS, self.observation.privileged),
+        )
+        for registry, table in tables:
+            for name, term in table.items():
+                registry.bind(name, term.params)

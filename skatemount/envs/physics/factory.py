@@ -1,0 +1,54 @@
+"""Make the engine that the settings name."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+from skatemount.envs.config.physics import PhysicsConfig
+from skatemount.envs.physics.base import Physics
+from skatemount.envs.scene import Scene
+from skatemount.utils.errors import ConfigError
+
+
+def _cpu(scene: Scene, config: PhysicsConfig) -> Physics:
+    from skatemount.envs.physics.cpu import CpuPhysics
+
+    if config.device not in ("auto", "cpu"):
+        raise ConfigError(f"physics.device={config.device} goes with physics.engine=warp, but the engine is cpu")
+    return CpuPhysics(scene, config.num_worlds, config.threads)
+
+
+def _warp(scene: Scene, config: PhysicsConfig) -> Physics:
+    try:
+        import warp
+
+        # Before anything of it is used: it tells of every device and module it loads.
+        warp.config.log_level = warp.LOG_WARNING
+        from skatemount.envs.physics.warp import WarpPhysics
+    except ImportError as error:
+        raise ConfigError(
+            f"physics.engine=warp needs mujoco-warp and warp-lang ({error}): pip install 'skatemount[warp]'"
+        ) from error
+    return WarpPhysics(scene, config.num_worlds, config.device, config.max_contacts, config.max_constraints)
+
+
+_MAKERS: dict[str, Callable[[Scene, PhysicsConfig], Physics]] = {"cpu": _cpu, "warp": _warp}
+
+
+def make_physics(
+    scene: Scene, config: PhysicsConfig, num_worlds: int | None = None, threads: int | None = None
+) -> Physics:
+    """Start the engine that the settings name.
+
+    Args:
+        scene: The scene, compiled by the engine.
+        config: Engine, number of worlds and threads.
+        num_worlds: Instead of the settings' number.
+        threads: Instead of the settings' number.
+    """
+    config = dataclasses.replace(config)
+    config.num_worlds = config.num_worlds if num_worlds is None else num_worlds
+    config.threads = config.threads if threads is None else threads
+    config.validate()
+    return _MAKERS[config.engine](scene, config)

@@ -1,0 +1,90 @@
+"""Settings of PPO."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from skatemount.utils.errors import ConfigError
+
+
+@dataclass
+class AlgorithmConfig:
+    """Hyper-parameters of PPO.
+
+    Attributes:
+        epochs: Passes over a batch.
+        minibatches: Parts of a batch; one update each.
+        learning_rate: At the start.
+        min_learning_rate: Lowest that the KL may push it to.
+        max_learning_rate: Highest.
+        target_kl: KL divergence of the policy before a batch from the one after it that the learning rate aims at;
+            null keeps the learning rate.
+        clip: Of the probability ratio.
+        clip_value: Clip the value loss by the same amount.
+        value_coeff: Weight of the value loss.
+        entropy_coeff: Weight of the entropy bonus.
+        horizon: Seconds over which rewards are discounted: gamma = exp(-control step / horizon).
+        trace: Seconds over which GAE looks ahead: lambda = exp(-control step / trace).
+        max_grad_norm: Largest norm of the gradient.
+        final_std: What the upper bound of the actions' standard deviation falls to, from ``network.max_std``; null
+            leaves it there.
+        std_frames: Frames until it is there; it falls by the same share in each.
+        final_kl: What ``target_kl`` falls to over the last frames, by the same share in each; null leaves it. Small
+            steps at the end settle a policy that large ones have kept moving about.
+        settle: Share of all frames over which it does.
+        compile: Let torch compile the networks for the updates: they are faster, the first one takes a minute, and a
+            C++ compiler must be installed.
+    """
+
+    epochs: int = 5
+    minibatches: int = 4
+    learning_rate: float = 1e-3
+    min_learning_rate: float = 1e-5
+    max_learning_rate: float = 1e-2
+    target_kl: float | None = 0.01
+    clip: float = 0.2
+    clip_value: bool = True
+    value_coeff: float = 1.0
+    entropy_coeff: float = 0.01
+    horizon: float = 2.0
+    trace: float = 0.4
+    max_grad_norm: float = 1.0
+    final_std: float | None = None
+    std_frames: int = 10_000_000
+    final_kl: float | None = None
+    settle: float = 0.2
+    compile: bool = False
+
+    def validate(self, where: str = "algorithm") -> None:
+        """Raise `ConfigError` for values that cannot be used."""
+        for name in ("epochs", "minibatches"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
+        positive = ("learning_rate", "min_learning_rate", "max_learning_rate", "clip", "horizon", "trace")
+        for name in (*positive, "max_grad_norm", "target_kl", "final_std", "std_frames", "final_kl", "settle"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
+                raise ConfigError(f"{where}.{name}={value} must be above 0 and finite")
+        if self.min_learning_rate > self.max_learning_rate:
+            raise ConfigError(
+                f"{where}.min_learning_rate={self.min_learning_rate} must be at most "
+                f"max_learning_rate={self.max_learning_rate}"
+            )
+        if self.target_kl is not None and not self.min_learning_rate <= self.learning_rate <= self.max_learning_rate:
+            raise ConfigError(
+                f"{where}.learning_rate={self.learning_rate} must be within min_learning_rate={self.min_learning_rate} "
+                f"and max_learning_rate={self.max_learning_rate}, between which it follows the KL"
+            )
+        if self.final_kl is not None and self.target_kl is None:
+            raise ConfigError(f"{where}.final_kl={self.final_kl} needs {where}.target_kl, from which it falls")
+        if self.final_kl is not None and self.target_kl is not None and self.final_kl > self.target_kl:
+            raise ConfigError(
+                f"{where}.final_kl={self.final_kl} must be at most {where}.target_kl={self.target_kl}, from which it "
+                "falls"
+            )
+        if self.settle > 1:
+            raise ConfigError(f"{where}.settle={self.settle} must be a share of the frames, at most 1")
+        for name in ("value_coeff", "entropy_coeff"):
+            if not getattr(self, name) >= 0:
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be 0 or more")

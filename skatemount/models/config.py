@@ -1,0 +1,51 @@
+"""Settings of the networks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from skatemount.utils.errors import ConfigError
+
+ACTIVATIONS = ("elu", "relu", "tanh", "silu")
+
+
+@dataclass
+class NetworkConfig:
+    """Sizes of the networks.
+
+    Attributes:
+        actor: Hidden layers of the actor.
+        critic: Hidden layers of the critic.
+        activation: ``elu``, ``relu``, ``tanh`` or ``silu``.
+        init_std: Standard deviation of the actions at the start, in units of the action scale.
+        min_std: Lowest standard deviation that learning may reach.
+        max_std: Highest.
+        normalize: Normalise observations by their running mean and deviation, inside the networks.
+        symmetric: Build the networks so that the mirror image of a state gives the mirror image of the action, and
+            the same value.
+    """
+
+    actor: list[int] = field(default_factory=lambda: [256, 128, 64])
+    critic: list[int] = field(default_factory=lambda: [256, 128, 64])
+    activation: str = "elu"
+    init_std: float = 0.5
+    min_std: float = 0.05
+    max_std: float = 1.0
+    normalize: bool = True
+    symmetric: bool = False
+
+    def validate(self, where: str = "network") -> None:
+        """Raise `ConfigError` for sizes that cannot be built."""
+        for name in ("actor", "critic"):
+            sizes = getattr(self, name)
+            if not sizes or min(sizes) < 1:
+                raise ConfigError(f"{where}.{name}={sizes} must be a list of layer sizes, each at least 1")
+            if self.symmetric and any(size % 2 for size in sizes):
+                raise ConfigError(f"{where}.{name}={sizes} must be even numbers with {where}.symmetric=true")
+        if self.activation not in ACTIVATIONS:
+            raise ConfigError(f"{where}.activation={self.activation} must be one of {', '.join(ACTIVATIONS)}")
+        if not 0 < self.min_std <= self.init_std <= self.max_std:
+            raise ConfigError(
+                f"{where}: min_std={self.min_std}, init_std={self.init_std}, max_std={self.max_std} must satisfy "
+                "0 < min_std <= init_std <= max_std"
+            )

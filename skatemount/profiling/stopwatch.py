@@ -1,0 +1,105 @@
+"""Which part of the code the time goes to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+
+from skatemount.training.trainer import Trainer
+from skatemount.utils.devices import seconds
+
+COLLECTING = ("physics", "state", "observation", "reward", "episode", "reset", "policy")
+LEARNING = ("values and GAE", "update")
+
+
+class Stopwatch:
+    """Adds up the time spent in what it times; a part does not count what is timed inside it.
+
+    Args:
+        device: Where what is timed works.
+
+    Attributes:
+        spent: Seconds by part.
+    """
+
+    def __init__(self, device: torch.device | None = None) -> None:
+        self.spent: dict[str, float] = {}
+        self._device = device or torch.device("cpu")
+        self._inside = 0.0
+        self._closed = False
+
+    def time(self, owner: object, name: str, part: str, whole: bool = False) -> Callable[[], None]:
+        """Time what an object calls by an attribute, from now on.
+
+        Args:
+            owner: The object.
+            name: Of the attribute: a method, or something that can be called.
+            part: What its time counts for.
+            whole: Count what is timed inside it, too.
+
+        Returns:
+            Puts the attribute back.
+        """
+        its_own, original = name in vars(owner), getattr(owner, name)
+        setattr(owner, name, _Timed(original, lambda *args, **kwargs: self._run(part, whole, original, args, kwargs)))
+        return lambda: setattr(owner, name, original) if its_own else delattr(owner, name)
+
+    def _run(self, part: str, whole: bool, call: Callable[..., Any], args: Any, kwargs: Any) -> Any:
+        if self._closed:
+            return call(*args, **kwargs)
+        outer, self._inside, self._closed = self._inside, 0.0, whole
+        start = seconds(self._device)
+        try:
+            return call(*args, **kwargs)
+        finally:
+            took = seconds(self._device) - start
+            self.spent[part] = self.spent.get(part, 0.0) + took - self._inside
+            self._inside, self._closed = outer + took, False
+
+
+class _Timed:
+    """Stands in for something that is called, and is like it in everything else."""
+
+    def __init__(self, original: Any, call: Callable[..., Any]):
+        self._original, self._call = original, call
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        return self._call(*args, **kwargs)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._original, name)
+
+
+@contextmanager
+def watch(trainer: Trainer) -> Iterator[Stopwatch]:
+    """Time the parts of a training while the block runs.
+
+    Args:
+        trainer: The training.
+
+    Yields:
+        The stopwatch; its parts are `COLLECTING` and `LEARNING`.
+    """
+    env, ppo = trainer.env, trainer.ppo
+    stopwatch = Stopwatch(env.physics.device)
+    undo = [
+        stopwatch.time(env.physics, "step", "physics"),
+        stopwatch.time(env.physics, "state", "state"),
+        stopwatch.time(env.mdp, "observation", "observation"),
+        stopwatch.time(env.mdp, "privileged", "observation"),
+        stopwatch.time(env.mdp, "rewards", "reward"),
+        stopwatch.time(env.mdp, "advance", "episode"),
+        stopwatch.time(env, "_restart", "reset", whole=True),
+        stopwatch.time(trainer.networks.actor, "forward", "policy"),
+        stopwatch.time(ppo, "_fill_values", "values and GAE"),
+        stopwatch.time(ppo, "_gae", "values and GAE"),
+        stopwatch.time(ppo, "_step", "update"),
+    ]
+    try:
+        yield stopwatch
+    finally:
+        for put_back in undo:
+            put_back()

@@ -1,0 +1,105 @@
+"""A training whose parts can be timed one by one, all on the same kind of states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+
+from skatemount.training.trainer import Trainer
+from skatemount.utils.devices import seconds as clock
+
+SETTLE = 50
+"""Control steps until the worlds are out of step with each other, and as far into their episodes as they get."""
+KEPT = 8
+"""States that raw physics starts from."""
+
+Timed = Callable[[float], tuple[int, float]]
+"""Works for at least so many seconds: environment steps, and the seconds that they took."""
+
+
+class Workload:
+    """Raw physics, the environment and the whole of a training, for a stopwatch.
+
+    Args:
+        trainer: The training. It goes on learning while it is timed.
+    """
+
+    def __init__(self, trainer: Trainer):
+        self.trainer = trainer
+        self._env = trainer.env
+        self._iterations = trainer.iterations()
+        # What is done for the first time takes longer. And the collector is made now, which resets the worlds: later,
+        # it would put them back into step with each other.
+        next(self._iterations)
+        self._env.set_seed(trainer.config.seed)
+        self._data: TensorDictBase = self._env.reset()
+        for _ in range(SETTLE):
+            self._act()
+            self._step()
+
+    def _act(self) -> None:
+        with torch.no_grad():
+            self._data = self.trainer.networks.actor(self._data)
+
+    def _step(self) -> None:
+        _, self._data = self._env.step_and_maybe_reset(self._data)
+
+    def _present_states(self) -> list[tuple[Any, torch.Tensor]]:
+        """States of the engine in the next control steps, and the joint targets that follow."""
+        states = []
+        for _ in range(KEPT):
+            self._act()
+            states.append((self._env.physics.raw_state(), self._env.mdp.targets(self._data["action"])))
+            self._step()
+        return states
+
+    def raw(self, seconds: float) -> tuple[int, float]:
+        """Physics alone, the policy's present states and actions over and over: no resets, no observation, no reward.
+
+        States of a training's beginning would not do: how much a step of physics costs depends on who touches what.
+        """
+        physics, substeps, states = self._env.physics, self.trainer.config.physics.substeps, self._present_states()
+        here, spent, steps = physics.raw_state(), 0.0, 0
+        while spent < seconds:
+            state, targets = states[steps % KEPT]
+            physics.set_raw_state(state)
+            start = self._now()
+            physics.step(targets, substeps)
+            spent += self._now() - start
+            steps += 1
+        physics.set_raw_state(here)
+        return steps * self._env.num_worlds, spent
+
+    def env(self, seconds: float) -> tuple[int, float]:
+        """The environment with its resets, under the policy's actions; choosing them is not timed."""
+        spent, steps = 0.0, 0
+        while spent < seconds:
+            self._act()
+            start = self._now()
+            self._step()
+            spent += self._now() - start
+            steps += 1
+        return steps * self._env.num_worlds, spent
+
+    def training(self, seconds: float) -> dict[str, tuple[int, float]]:
+        """Whole iterations: ``collect``, ``learn`` and both together with all that is between them, ``train``."""
+        spent = {"collect": 0.0, "learn": 0.0, "train": 0.0}
+        before, start = self.trainer.frames, self._now()
+        while (spent["train"] < seconds) or self.trainer.frames == before:
+            metrics = next(self._iterations)
+            spent["collect"] += metrics["Perf/collection_time"]
+            spent["learn"] += metrics["Perf/learning_time"]
+            spent["train"] = self._now() - start
+        steps = self.trainer.frames - before
+        return {name: (steps, took) for name, took in spent.items()}
+
+    def _now(self) -> float:
+        return clock(self._env.physics.device)
+
+    def close(self) -> None:
+        """Stop everything."""
+        self._iterations.close()
+        self.trainer.close()

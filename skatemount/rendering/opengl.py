@@ -1,0 +1,60 @@
+"""Which OpenGL library draws. It has to be chosen before mujoco or dm_control are imported: they read it once."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+
+from skatemount.utils.errors import ConfigError
+
+VARIABLE = "MUJOCO_GL"
+ADVICE = "On Debian or Ubuntu: apt install libegl1 libgl1-mesa-dri (EGL), or apt install libosmesa6 (OSMesa)"
+_TRIAL = "import mujoco; c = mujoco.GLContext(16, 16); c.make_current(); c.free()"
+
+
+def works(backend: str) -> bool:
+    """Whether a library can draw here, tried in a process of its own because a failure may be a crash."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"} | {VARIABLE: backend}
+    try:
+        trial = subprocess.run(
+            [sys.executable, "-c", _TRIAL], env=environment, capture_output=True, timeout=120, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return trial.returncode == 0
+
+
+def choose(works: Callable[[str], bool] = works) -> str | None:
+    """Choose a library that can draw, and put it into ``MUJOCO_GL``.
+
+    On Linux EGL and then OSMesa are tried, which need no display, then GLFW if there is one. A choice that is in the
+    variable already is kept. Other systems need no choice.
+
+    Args:
+        works: Tells whether a library can draw.
+
+    Returns:
+        The choice, or none where none is needed.
+
+    Raises:
+        ConfigError: There is none; the line says what to install.
+    """
+    if chosen := os.environ.get(VARIABLE):
+        if works(chosen):
+            return chosen
+        raise ConfigError(f"{VARIABLE}={chosen} cannot draw here; unset it to have one chosen. {ADVICE}")
+    if not sys.platform.startswith("linux"):
+        return None
+    display = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    for backend in ("egl", "osmesa", "glfw") if display else ("egl", "osmesa"):
+        if works(backend):
+            os.environ[VARIABLE] = backend
+            return backend
+    raise ConfigError(f"no OpenGL library that draws without a display was found. {ADVICE}")
+
+
+def disable() -> None:
+    """For programs that draw nothing: keeps mujoco and dm_control from looking for a display, and from warning."""
+    os.environ.setdefault(VARIABLE, "disable")

@@ -1,0 +1,283 @@
+"""Policies and checkpoints on disk. Nothing here reads pickle.
+
+A *policy file* is `NAME.safetensors` with its card `NAME.json` beside it. A *checkpoint folder* is
+`step_000001234567/` with `policy.safetensors`, `policy.json` and `training/`, which holds what is
+needed to go on training (optimiser, schedule, counters, random states, environments).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor, nn
+
+from skatemount.runs import atomic
+from skatemount.runs.serialization import (
+    check_format,
+    load_state,
+    parse_json,
+    read_bytes,
+    read_tensors,
+    save_state,
+    write_tensors,
+)
+from skatemount.utils.errors import ConfigError
+
+CARD_FORMAT = 1
+POLICY_FILE = "policy.safetensors"
+TRAINING_FOLDER = "training"
+
+_STEP_FOLDER = re.compile(r"step_\d{12}\d*")
+_NON_FINITE = ("nan", "inf", "-inf")
+
+
+@dataclass(kw_only=True)
+class Card:
+    """What a policy is, in plain words and numbers: enough to rebuild its network and its task.
+
+    Attributes:
+        format: Version of this layout.
+        stage: The stage that it was trained in.
+        config: The full resolved configuration of that training.
+        observation: One dict for each part of the observation, in order (name, size, scale, …).
+        action: What the actions mean (joint order, default pose, scale, clip, …).
+        frames: Environment steps trained.
+        metrics: Training metrics at that moment.
+        suites: Evaluation results by suite.
+        versions: Package versions that it was made with.
+        notes: Anything else a reader should know.
+        sha256: Checksum of the weights' file; `save_policy` sets it.
+    """
+
+    format: int = CARD_FORMAT
+    stage: str
+    config: dict[str, Any]
+    observation: list[dict[str, Any]] = field(default_factory=list)
+    action: dict[str, Any] = field(default_factory=dict)
+    frames: int = 0
+    metrics: dict[str, Any] = field(default_factory=dict)
+    suites: dict[str, Any] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+    notes: str = ""
+    sha256: str = ""
+
+    def to_json(self) -> str:
+        """Returns the card as strict JSON; not-a-number and infinities become strings.
+
+        Raises:
+            ConfigError: A value is not plain data; the message says which.
+        """
+        plain = {f.name: _plain(getattr(self, f.name), f.name) for f in dataclasses.fields(self)}
+        return json.dumps(plain, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str | bytes, where: str = "card") -> Card:
+        """Reads a card.
+
+        Args:
+            text: What `to_json` returned.
+            where: What to call it in error messages, the file's path for instance.
+
+        Raises:
+            ConfigError: It is not JSON, of a newer format, or a field is missing, unknown or of a
+                wrong type.
+        """
+        document = parse_json(text, where)
+        check_format(document, CARD_FORMAT, where)
+        kinds = {
+            "format": int, "stage": str, "config": dict, "observation": list, "action": dict,
+            "frames": int, "metrics": dict, "suites": dict, "versions": dict, "notes": str,
+            "sha256": str,
+        }  # fmt: skip
+        if unknown := sorted(set(document) - set(kinds)):
+            raise ConfigError(f"{where}: unknown field {unknown[0]!r}; known: {', '.join(kinds)}")
+        if missing := [name for name in ("stage", "config") if name not in document]:
+            raise ConfigError(f"{where}: field {missing[0]!r} is missing")
+        for name, value in document.items():
+            if not isinstance(value, kinds[name]) or isinstance(value, bool):
+                raise ConfigError(
+                    f"{where}: field {name!r} is a {type(value).__name__}, a {kinds[name].__name__} is needed"
+                )
+        if not all(isinstance(part, dict) for part in document.get("observation", [])):
+            raise ConfigError(f"{where}: field 'observation' needs a list of objects")
+        return cls(**{name: _revive(value) for name, value in document.items()})
+
+
+def save_policy(path: Path, modules: dict[str, nn.Module], card: Card) -> None:
+    """Writes a policy file and its card.
+
+    Args:
+        path: The `.safetensors` file; the card goes beside it, ending in `.json`.
+        modules: Networks by name, `{"actor": …, "critic": …}`; stored as `actor.<parameter>`.
+        card: What it is; its `sha256` is filled in on disk.
+
+    Raises:
+        ConfigError: The path does not end in `.safetensors`, a name has a dot, or a module's state
+            is not all tensors.
+    """
+    path = Path(path)
+    if path.suffix != ".safetensors":
+        raise ConfigError(f"{path}: a policy file ends in .safetensors")
+    tensors: dict[str, Tensor] = {}
+    for name, module in modules.items():
+        if not name or "." in name:
+            raise ConfigError(f"module name {name!r}: a name without dots is needed")
+        for key, value in module.state_dict().items():
+            if not isinstance(value, Tensor):
+                raise ConfigError(f"{name}.{key}: a {type(value).__name__}; only tensors are stored in a policy")
+            tensors[f"{name}.{key}"] = value
+    card.to_json()  # a card that cannot be written must not leave weights without one
+    digest = write_tensors(path, tensors)
+    atomic.write_text(_card_path(path), dataclasses.replace(card, sha256=digest).to_json())
+
+
+def load_policy(path: Path) -> tuple[dict[str, dict[str, Tensor]], Card]:
+    """Reads a policy and its card.
+
+    Args:
+        path: A `.safetensors` file, or a checkpoint folder.
+
+    Returns:
+        State dicts by module name (tensors on the CPU), and the card.
+
+    Raises:
+        ConfigError: A file is missing, damaged, a pickle, or of a newer format.
+    """
+    card = read_card(path)
+    modules: dict[str, dict[str, Tensor]] = {}
+    for name, tensor in read_tensors(_policy_file(path), card.sha256).items():
+        module, _, key = name.partition(".")
+        modules.setdefault(module, {})[key] = tensor
+    return modules, card
+
+
+def read_card(path: Path) -> Card:
+    """Reads the card of a policy file or checkpoint folder, without its weights.
+
+    Raises:
+        ConfigError: The policy or its card is missing, or the card is malformed.
+    """
+    card_path = _card_path(_policy_file(path))
+    return Card.from_json(read_bytes(card_path), str(card_path))
+
+
+def save_checkpoint(folder: Path, modules: dict[str, nn.Module], card: Card, training_state: dict[str, Any]) -> None:
+    """Writes a checkpoint folder, whole or not at all.
+
+    Args:
+        folder: Its final name (see `step_folder`); an existing one is replaced.
+        modules: As for `save_policy`.
+        card: As for `save_policy`.
+        training_state: As for `skatemount.runs.serialization.save_state`.
+
+    Raises:
+        ConfigError: Something in it cannot be saved; `folder` is as before.
+    """
+    with atomic.replacing_folder(Path(folder)) as staged:
+        save_policy(staged / POLICY_FILE, modules, card)
+        save_state(staged / TRAINING_FOLDER, training_state)
+
+
+def load_training_state(folder: Path) -> dict[str, Any]:
+    """Reads what is needed to go on training from a checkpoint folder, tensors on the CPU.
+
+    Raises:
+        ConfigError: It is a policy alone, or its state is missing or damaged.
+    """
+    folder = Path(folder)
+    if not (folder / TRAINING_FOLDER).is_dir():
+        raise ConfigError(
+            f"{folder}: has no training state to resume from; "
+            "give a run or a checkpoint folder, or start from its policy with init_from"
+        )
+    return load_state(folder / TRAINING_FOLDER)
+
+
+def step_folder(frames: int) -> str:
+    """Returns a checkpoint folder's name, padded so that names sort by step."""
+    return f"step_{frames:012d}"
+
+
+def is_checkpoint(folder: Path) -> bool:
+    """Tells whether `folder` is a published checkpoint folder."""
+    return (folder / POLICY_FILE).is_file() and not folder.name.startswith(".")
+
+
+def list_checkpoints(checkpoints: Path) -> list[Path]:
+    """Returns the checkpoint folders in `checkpoints`, in the order in which they were written.
+
+    That is by time and not by step: after resuming from an earlier checkpoint, the newer ones have
+    the smaller steps.
+    """
+    found = [p for p in checkpoints.glob("step_*") if _STEP_FOLDER.fullmatch(p.name)]
+    return sorted(filter(is_checkpoint, found), key=lambda p: (p.stat().st_mtime_ns, p.name))
+
+
+def keep_last(checkpoints: Path, n: int, protect: Path | None = None) -> list[Path]:
+    """Deletes all but the newest checkpoints.
+
+    Args:
+        checkpoints: The folder that holds them.
+        n: How many to keep, at least 1.
+        protect: One that stays in any case and is not counted, the best one for instance.
+
+    Returns:
+        The deleted folders.
+
+    Raises:
+        ConfigError: `n` is less than 1.
+    """
+    if n < 1:
+        raise ConfigError(f"keep={n}: at least 1 checkpoint has to be kept")
+    protected = None if protect is None else Path(protect).resolve()
+    others = [p for p in list_checkpoints(checkpoints) if p.resolve() != protected]
+    doomed = others[:-n]
+    for folder in doomed:
+        atomic.remove_folder(folder)
+    return doomed
+
+
+def _policy_file(path: Path) -> Path:
+    path = Path(path)
+    file = path / POLICY_FILE if path.is_dir() else path
+    if file.suffix != ".safetensors":
+        raise ConfigError(
+            f"{file}: policies are read from .safetensors files only; "
+            "pickle-based files such as .pt can run code when loaded and are refused"
+        )
+    if not file.is_file():
+        raise ConfigError(f"{file}: there is no such policy file")
+    return file
+
+
+def _card_path(policy: Path) -> Path:
+    return policy.with_suffix(".json")
+
+
+def _plain(value: Any, where: str) -> Any:
+    """Turns scalars of numpy and torch into Python's, and non-finite floats into strings."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item, f"{where}.{key}") for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item, f"{where}.{i}") for i, item in enumerate(value)]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else str(float(value))
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if getattr(value, "ndim", None) == 0 and hasattr(value, "item"):
+        return _plain(value.item(), where)
+    raise ConfigError(f"card field {where}: a {type(value).__name__} is not plain data")
+
+
+def _revive(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _revive(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_revive(item) for item in value]
+    return float(value) if isinstance(value, str) and value in _NON_FINITE else value

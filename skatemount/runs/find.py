@@ -1,0 +1,99 @@
+"""Find the checkpoint or policy that a user means."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+
+from skatemount.runs.checkpoint import is_checkpoint, list_checkpoints
+from skatemount.runs.folder import POINTERS, RunFolder, age_key, follow, is_run
+from skatemount.utils.errors import ConfigError
+
+POLICIES = Path(__file__).resolve().parents[1] / "policies"
+
+
+PRETRAINED = "pretrained:"
+
+
+def find_checkpoint(spec: str, root: Path | str = Path("runs"), setting: str = "checkpoint") -> Path:
+    """Finds the checkpoint or policy file that a user means.
+
+    Args:
+        spec: A checkpoint folder; a `.safetensors` file; a run folder (its latest checkpoint) or
+            `RUN/best`, as a path or relative to `root`; `latest` or `best` (of the newest run that
+            has a checkpoint); `pretrained:NAME` (a policy shipped with the package).
+        root: Folder of all runs.
+        setting: The setting's name, for error messages.
+
+    Returns:
+        A checkpoint folder, or a `.safetensors` file; `load_policy` takes both.
+
+    Raises:
+        ConfigError: There is none; the line says what there is.
+    """
+    root = Path(root)
+    spec = str(spec)
+    if spec.startswith(PRETRAINED):
+        file = POLICIES / f"{spec.removeprefix(PRETRAINED)}.safetensors"
+        if file.parent == POLICIES and file.is_file():
+            return file
+        raise ConfigError(f"{setting}={spec!r}: no such policy; there is {_choices(_pretrained())}")
+    if spec in POINTERS:
+        run = _newest_run(root)
+        if run is None:
+            raise ConfigError(
+                f"{setting}={spec!r}: no run in {str(root)!r} has a checkpoint yet; there is {_choices(_pretrained())}"
+            )
+        return _of_run(run, spec, f"{setting}={spec!r}")
+    for path in (Path(spec), root / spec):
+        if path.is_file() and path.name not in POINTERS:
+            if path.suffix != ".safetensors":
+                raise ConfigError(
+                    f"{setting}={spec!r}: a {path.suffix or 'nameless'} file; policies are "
+                    ".safetensors files, pickle-based ones (.pt) are never loaded"
+                )
+            return path
+        if path.is_dir() and is_checkpoint(path):
+            return path
+        if is_run(path):
+            return _of_run(path, "latest", f"{setting}={spec!r}")
+        if path.name in POINTERS and is_run(path.parent):
+            return _of_run(path.parent, path.name, f"{setting}={spec!r}")
+    names = [str(run) for run in itertools.islice(_runs_with_checkpoints(root), 3)]
+    raise ConfigError(f"{setting}={spec!r}: not found; there is {_choices([*names, *_pretrained()])}")
+
+
+def _of_run(run: Path, which: str, where: str) -> Path:
+    folder = RunFolder(run)
+    found = folder.best if which == "best" else folder.latest
+    if found is not None:
+        return found
+    others = [p.relative_to(run).as_posix() for p in list_checkpoints(run / "checkpoints")]
+    what = "no best checkpoint" if which == "best" else "no checkpoint"
+    raise ConfigError(f"{where}: run {str(run)!r} has {what} yet; it has {_choices(others)}")
+
+
+def _newest_run(root: Path) -> Path | None:
+    marked = follow(root / "latest")
+    if marked is not None and RunFolder(marked).latest is not None:
+        return marked
+    return next(_runs_with_checkpoints(root), None)
+
+
+def _runs_with_checkpoints(root: Path) -> Iterator[Path]:
+    runs = sorted(filter(is_run, root.glob("*/*")), key=age_key, reverse=True)
+    return (run for run in runs if RunFolder(run).latest is not None)
+
+
+def is_shipped(name: str) -> bool:
+    """Whether the package ships a policy of that name."""
+    return f"{PRETRAINED}{name}" in _pretrained()
+
+
+def _pretrained() -> list[str]:
+    return [f"{PRETRAINED}{file.stem}" for file in sorted(POLICIES.glob("*.safetensors"))]
+
+
+def _choices(names: list[str]) -> str:
+    return ", ".join(names) or "none"

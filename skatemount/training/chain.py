@@ -1,0 +1,285 @@
+"""A curriculum by hand: a chain of stages, each starting from the last one's policy.
+
+A chain is one run folder with a part for each stage (`1_gait`, `2_balance`, …). Where it stands is read from the parts'
+checkpoints alone, so that it can go on from wherever it was stopped; `stages.json` tells readers about it.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from skatemount import config as configuration
+from skatemount.config import Config
+from skatemount.curriculum.config import StageLink
+from skatemount.runs import atomic
+from skatemount.runs.checkpoint import load_training_state, read_card
+from skatemount.runs.find import find_checkpoint
+from skatemount.runs.folder import RunFolder
+from skatemount.runs.lock import claimed
+from skatemount.runs.serialization import parse_json
+from skatemount.training.plots import plot_chain
+from skatemount.training.resume import change_saved
+from skatemount.training.trainer import Trainer, gate_reached, termination_as_interrupt
+from skatemount.utils.errors import ConfigError
+from skatemount.utils.formatting import compact
+
+CONFIGS_FILE = "stages.yaml"
+REPORT_FILE = "stages.json"
+
+
+@dataclass
+class Part:
+    """A stage of a chain.
+
+    Attributes:
+        name: Of the stage.
+        folder: Where its run is or will be.
+        link: Its gate and budget.
+        config: Its settings, but for the budget and the start, which follow from the stages before.
+    """
+
+    name: str
+    folder: Path
+    link: StageLink
+    config: Config
+
+    @property
+    def latest(self) -> Path | None:
+        """Its newest checkpoint, if it has one."""
+        return RunFolder(self.folder).latest
+
+    @property
+    def frames(self) -> int:
+        """Environment steps trained."""
+        return 0 if self.latest is None else read_card(self.latest).frames
+
+    def ended(self, budget: int) -> str | None:
+        """What ended it, ``gate`` or ``budget``; None while it has to go on.
+
+        Args:
+            budget: Its frames.
+        """
+        if self.latest is None:
+            return None
+        card = read_card(self.latest)
+        if gate_reached(self.link.gate, card.metrics):
+            return "gate"
+        return "budget" if card.frames >= budget else None
+
+
+class Chain:
+    """Trains the stages of a chain in order.
+
+    Args:
+        run: The chain's run folder.
+        config: The chain's settings; its ``total_frames`` is for all stages together.
+        stages: The settings of every stage.
+        overrides: What the user asked for, to be written down.
+    """
+
+    def __init__(self, run: RunFolder, config: Config, stages: dict[str, Config], overrides: list[str]):
+        self.run = run
+        self.config = config
+        self._overrides = overrides
+        self.parts = [
+            Part(name, run.path / f"{i}_{name}", config.curriculum.stages[name], stages[name])
+            for i, name in enumerate(stages, 1)
+        ]
+        self._evaluated: dict[str, dict[str, Any]] = {}
+
+    @classmethod
+    def begin(cls, config: Config, overrides: list[str]) -> Chain:
+        """Start a chain: compose the settings of every stage, and make the run folder.
+
+        Args:
+            config: As composed from the command line, with ``+curriculum=<a chain>``.
+            overrides: What the user asked for; all but the curriculum's own apply to every stage.
+
+        Raises:
+            ConfigError: A setting that cannot be used in one of the stages.
+        """
+        asked = [o for o in overrides if not _about_the_curriculum(o)]
+        stages = {name: configuration.compose(name, asked) for name in config.curriculum.stages}
+        for i, (name, link) in enumerate(config.curriculum.stages.items(), 1):
+            stages[name].stage.gate, stages[name].stage.renormalize = link.gate, link.renormalize
+            stages[name].logger.name = f"{i}_{name}"
+        logger = config.logger
+        run = RunFolder.create(
+            logger.root,
+            logger.experiment,
+            logger.name or config.curriculum.name,
+            configuration.to_dict(config),
+            overrides,
+        )
+        saved = {name: configuration.to_dict(stage) for name, stage in stages.items()}
+        # Settings files may change before the chain is through.
+        atomic.write_text(run.path / CONFIGS_FILE, yaml.safe_dump(saved, sort_keys=False, allow_unicode=True))
+        return cls(run, config, stages, overrides)
+
+    @classmethod
+    def resume(cls, run: RunFolder, config: Config, overrides: list[str]) -> Chain:
+        """Go on with a chain where it stands.
+
+        Args:
+            run: The chain's run folder.
+            config: As composed from the command line.
+            overrides: What the user asked for.
+
+        Raises:
+            ConfigError: An override that cannot be changed in the middle of a run.
+        """
+        saved = configuration.from_dict(run.config)
+        path = run.path / CONFIGS_FILE
+        try:
+            values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{path}: cannot be read, and the chain cannot go on without it") from error
+        stages = {name: configuration.from_dict(stage) for name, stage in values.items()}
+        for each in (saved, *stages.values()):
+            change_saved(each, config, overrides)
+        return cls(run, saved, stages, overrides)
+
+    def budget(self, place: int) -> int:
+        """Frames for a stage: its share, among the stages still to come, of what the ones before have left.
+
+        Args:
+            place: Of the stage in the chain, from 0.
+        """
+        left = self.config.total_frames - sum(part.frames for part in self.parts[:place])
+        shares = [part.link.budget for part in self.parts[place:]]
+        # At least one iteration, although the stages before, which end at whole batches, may have left nothing.
+        return max(1, round(left * shares[0] / sum(shares)))
+
+    def ended(self, place: int) -> str | None:
+        """What ended a stage, ``gate`` or ``budget``; None if it has to go on or to begin.
+
+        Args:
+            place: Of the stage in the chain, from 0.
+        """
+        part = self.parts[place]
+        if any(later.latest is not None for later in self.parts[place + 1 :]):
+            # A larger budget does not reopen it.
+            return part.ended(0)
+        return part.ended(self.budget(place))
+
+    def train(self) -> None:
+        """Train what is left of the chain.
+
+        Raises:
+            ConfigError: Nothing is left, or another process is training the chain.
+        """
+        left = [place for place in range(len(self.parts)) if self.ended(place) is None]
+        if not left:
+            raise ConfigError(
+                f"total_frames={self.config.total_frames}: all stages of {self.run.path} have ended: give more to go on"
+            )
+        with claimed(self.run.path), termination_as_interrupt():
+            try:
+                for place in left:
+                    self._train(place)
+            finally:
+                self.report()
+
+    def _train(self, place: int) -> None:
+        part, total = self.parts[place], len(self.parts)
+        config = copy.deepcopy(part.config)
+        config.total_frames = self.budget(place)
+        latest = part.latest
+        if latest is not None:
+            config.resume = str(latest)
+        else:
+            if part.folder.exists():
+                # It was stopped before its first checkpoint.
+                atomic.remove_folder(part.folder)
+            config.init_from = self._start(place)
+        end = f"after {compact(config.total_frames)} steps"
+        if part.link.gate is not None:
+            end = f"at an evaluated success of {part.link.gate:.0%}, or {end}"
+        print(f"stage {place + 1} of {total}, {part.name}: {config.stage.description}; it ends {end}")
+        trainer = Trainer(config, self._overrides, self.run)
+        print(trainer.describe(), flush=True)
+        self.report()
+        try:
+            result = trainer.train()
+        finally:
+            trainer.close()
+        if result is not None:
+            self._evaluated[part.name] = {
+                "episodes": result.episodes,
+                **result.to_dict(failed_episodes=False)["success"],
+            }
+            print(result.table(), flush=True)
+        self.report()
+
+    def _start(self, place: int) -> str | None:
+        """What a stage starts from: the stage before it; the first one from what the user names, or from nothing."""
+        if place:
+            return str(self.parts[place - 1].folder)
+        spec = self.config.init_from
+        return None if spec == "stage" else spec
+
+    def report(self) -> None:
+        """Write down what became of each stage so far, and draw the learning curve of them all."""
+        path = self.run.path / REPORT_FILE
+        if path.is_file():
+            known = {s["name"]: s["evaluated"] for s in parse_json(path.read_bytes(), path)["stages"]}
+            self._evaluated = known | self._evaluated
+        stages = []
+        for place, part in enumerate(self.parts):
+            entry: dict[str, Any] = {"name": part.name, "folder": part.folder.name, "gate": part.link.gate}
+            if part.folder.exists():
+                latest, run = part.latest, RunFolder(part.folder)
+                card = None if latest is None else read_card(latest)
+                entry |= {
+                    "starts_from": run.config["init_from"],
+                    "budget": self.budget(place),
+                    "frames": 0 if card is None else card.frames,
+                    "seconds": 0.0 if latest is None else round(load_training_state(latest)["elapsed"], 1),
+                    "success": None if card is None else card.metrics.get("Evaluation/success"),
+                    "ended": self.ended(place),
+                }
+            entry["evaluated"] = self._evaluated.get(part.name)
+            stages.append(entry)
+        document = {"total_frames": self.config.total_frames, "stages": stages}
+        atomic.write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
+        tables = [(part.name, RunFolder(part.folder).metrics_csv) for part in self.parts]
+        # A table is there from a stage's first iteration on.
+        if self.config.logger.csv and any(part.frames for part in self.parts):
+            plot_chain(tables, self.run.curves_png, self.run.path.name)
+
+
+def chain_to_train(config: Config, overrides: Sequence[str]) -> Chain | None:
+    """The chain that the command line asks for, new or to be gone on with; None if it asks for a single stage.
+
+    Args:
+        config: As composed from the command line.
+        overrides: What the user asked for.
+
+    Raises:
+        ConfigError: A setting that cannot be used, or a place in a chain at which it cannot go on.
+    """
+    if config.resume is None:
+        return Chain.begin(config, list(overrides)) if config.curriculum.kind == "stages" else None
+    found = find_checkpoint(config.resume, Path(config.logger.root), setting="resume")
+    run = RunFolder.open(found, setting="resume")
+    if run.parent is None:
+        return None
+    latest = run.parent.latest
+    if latest is None or found.resolve() != latest.resolve():
+        raise ConfigError(
+            f"resume={config.resume}: a place within the chain of stages {run.parent.path}, which goes on from its "
+            f"newest checkpoint only: resume={run.parent.path}"
+        )
+    return Chain.resume(run.parent, config, list(overrides))
+
+
+def _about_the_curriculum(override: str) -> bool:
+    key = override.lstrip("+~").partition("=")[0]
+    return key == "curriculum" or key.startswith("curriculum.")

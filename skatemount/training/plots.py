@@ -1,0 +1,221 @@
+"""Pictures of a training's metrics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skatemount.runs import atomic
+from skatemount.runs.metrics import STEP, read_metrics
+from skatemount.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
+TRAINING, EVALUATION, SECOND = "#1f77b4", "#d62728", "#2ca02c"
+
+# Title, (metric, colour, label) of each line, limits of the y axis.
+_PANELS = (
+    (
+        "success rate",
+        (("Success/rate", TRAINING, "training"), ("Evaluation/success", EVALUATION, "evaluated")),
+        (-0.03, 1.03),
+    ),
+    ("mean reward of an episode", (("Train/mean_reward", TRAINING, ""),), None),
+    ("episode length (control steps)", (("Train/mean_episode_length", TRAINING, ""),), None),
+    (
+        "feet on the board",
+        (
+            ("Success/feet_on_board", TRAINING, "training"),
+            ("Evaluation/feet_on_board", EVALUATION, "evaluated"),
+        ),
+        (-0.1, 4.1),
+    ),
+    ("KL divergence and learning rate", (("Loss/kl", TRAINING, "KL"),), None),
+    ("environment steps per second", (("Perf/total_fps", TRAINING, ""),), None),
+)
+
+
+def plot_learning_curves(csv_path: Path, png_path: Path, title: str = "") -> None:
+    """Draws the learning curves of a run.
+
+    The x axis is environment steps; the upper one, on the first row, is time if the table has it.
+    Thin lines are the values, thick ones their running mean.
+
+    Args:
+        csv_path: The run's `metrics.csv`.
+        png_path: The picture, replaced in one step.
+        title: Written above.
+
+    Raises:
+        ConfigError: The table is missing, not one, or has no rows yet.
+    """
+    # The object interface: no global figure list, no display, safe beside a user's own plots.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter, MaxNLocator
+
+    table = read_metrics(csv_path)
+    frames = table[STEP]
+    if not len(frames):
+        raise ConfigError(f"{csv_path}: has no rows to plot yet")
+    figure = Figure(figsize=(12, 6.4), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title, fontsize=13, parse_math=False)
+    axes = figure.subplots(2, 3, sharex=True)
+    span = max(float(frames.max()), 1.0)
+    for axis, (name, lines, limits) in zip(axes.flat, _PANELS, strict=True):
+        drawn = [_draw(axis, frames, table.get(key), colour, text) for key, colour, text in lines]
+        axis.set_title(name, fontsize=10)
+        axis.grid(alpha=0.25)
+        axis.tick_params(labelsize=8)
+        axis.set_xlim(0, span)
+        axis.xaxis.set_major_locator(MaxNLocator(6))
+        axis.xaxis.set_major_formatter(EngFormatter(sep=""))
+        if limits:
+            axis.set_ylim(*limits)
+        if not any(drawn):
+            axis.text(0.5, 0.5, "no data yet", transform=axis.transAxes, ha="center", color="grey")
+        elif sum(drawn) > 1:
+            axis.legend(fontsize=8, loc="best", framealpha=0.6)
+    for axis in axes[1]:
+        axis.set_xlabel("environment steps", fontsize=9)
+    axes[1, 2].yaxis.set_major_formatter(EngFormatter(sep=""))
+    axes[1, 2].set_ylim(bottom=0)
+    _draw_learning_rate(axes[1, 1], frames, table.get("Loss/learning_rate"))
+    if "Perf/elapsed_s" in table:
+        for axis in axes[0]:
+            _add_time_axis(axis, frames, table["Perf/elapsed_s"])
+    with atomic.replacing(png_path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def plot_chain(runs: Sequence[tuple[str, Path]], png_path: Path, title: str = "") -> None:
+    """Draws success and reward of trainings that follow one another, one colour each, against all their steps.
+
+    The upper x axis is time. Thick lines with dots are deterministic evaluations, thin ones the exploring policy.
+
+    Args:
+        runs: What each training is called and its `metrics.csv`, in order; tables that are missing or empty are left
+            out.
+        png_path: The picture, replaced in one step.
+        title: Written above.
+
+    Raises:
+        ConfigError: No table has rows yet.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter, MaxNLocator
+
+    tables = [(name, read_metrics(path)) for name, path in runs if path.is_file()]
+    tables = [(name, table) for name, table in tables if len(table[STEP])]
+    if not tables:
+        raise ConfigError(f"{png_path}: no metrics to plot yet")
+    figure = Figure(figsize=(9, 6.4), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title, fontsize=13, parse_math=False)
+    success, reward = figure.subplots(2, 1, sharex=True)
+    steps, seconds = 0.0, 0.0
+    all_steps, all_seconds = [], []
+    for i, (name, table) in enumerate(tables):
+        colour = COLOURS[i % len(COLOURS)]
+        frames = steps + table[STEP]
+        elapsed = seconds + table.get("Perf/elapsed_s", np.full(len(frames), np.nan))
+        _draw(success, frames, table.get("Success/rate"), colour, "", faint=True)
+        known = np.isfinite(evaluated := table.get("Evaluation/success", np.full(len(frames), np.nan)))
+        success.plot(frames[known], evaluated[known], color=colour, lw=1.8, marker="o", ms=3, label=name)
+        _draw(reward, frames, table.get("Train/mean_reward"), colour, name)
+        for axis in (success, reward):
+            axis.axvspan(steps, frames.max(), color=colour, alpha=0.06, lw=0)
+        all_steps.append(frames)
+        all_seconds.append(elapsed)
+        steps = float(frames.max())
+        seconds = float(np.nanmax(elapsed)) if np.isfinite(elapsed).any() else seconds
+    success.set_title("success rate: evaluated (dots), training (faint)", fontsize=10)
+    success.set_ylim(-0.03, 1.03)
+    reward.set_title("mean reward of an episode (each stage has its own rewards)", fontsize=10)
+    reward.set_xlabel("environment steps", fontsize=9)
+    for axis in (success, reward):
+        axis.grid(alpha=0.25)
+        axis.tick_params(labelsize=8)
+        axis.set_xlim(0, max(steps, 1.0))
+        axis.xaxis.set_major_locator(MaxNLocator(8))
+        axis.xaxis.set_major_formatter(EngFormatter(sep=""))
+    success.legend(fontsize=8, loc="best", framealpha=0.6)
+    _add_time_axis(success, np.concatenate(all_steps), np.concatenate(all_seconds))
+    with atomic.replacing(png_path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def _draw(
+    axis: Axes, frames: np.ndarray, values: np.ndarray | None, colour: str, label: str, faint: bool = False
+) -> bool:
+    """Draws one metric, or its running mean alone if it should be faint; returns whether there was anything to draw."""
+    known = np.zeros(0, bool) if values is None else np.isfinite(values)
+    if values is None or not known.any():
+        return False
+    x, y = frames[known], values[known]
+    if faint:
+        axis.plot(x, _running_mean(y, len(y) // 40), color=colour, lw=1.2, alpha=0.45, label=label or None)
+        return True
+    if len(x) < 40:
+        axis.plot(x, y, color=colour, label=label, lw=1.6, marker="o", ms=3)
+        return True
+    axis.plot(x, y, color=colour, lw=0.7, alpha=0.35)
+    axis.plot(x, _running_mean(y, len(y) // 40), color=colour, lw=1.7, label=label)
+    return True
+
+
+def _draw_learning_rate(axis: Axes, frames: np.ndarray, rate: np.ndarray | None) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    if rate is None or not (rate > 0).any():
+        return
+    rate = np.where(rate > 0, rate, np.nan)
+    twin = axis.twinx()
+    # A schedule moves in steps; a running mean would show values that never were.
+    known = np.isfinite(rate)
+    twin.step(frames[known], rate[known], color=SECOND, lw=1.2, alpha=0.7, where="post")
+    twin.set_yscale("log")
+    twin.set_ylim(np.nanmin(rate) / 2, np.nanmax(rate) * 2)  # room for a tick if it is constant
+    twin.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    twin.yaxis.set_minor_locator(NullLocator())
+    twin.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.0e}"))
+    twin.set_ylabel("learning rate", color=SECOND, fontsize=8)
+    twin.tick_params(labelsize=8, colors=SECOND)
+    axis.set_ylabel("KL", color=TRAINING, fontsize=8)
+    axis.set_zorder(twin.get_zorder() + 1)  # the KL line above the learning rate's
+    axis.patch.set_visible(False)
+
+
+def _running_mean(values: np.ndarray, half_width: int) -> np.ndarray:
+    """Mean over up to `half_width` values to either side, fewer at the ends."""
+    sums = np.concatenate(([0.0], np.cumsum(values)))
+    index = np.arange(len(values))
+    low = np.maximum(index - half_width, 0)
+    high = np.minimum(index + half_width + 1, len(values))
+    return (sums[high] - sums[low]) / (high - low)
+
+
+def _add_time_axis(axis: Axes, frames: np.ndarray, elapsed_s: np.ndarray) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    known = np.isfinite(elapsed_s)
+    if not known.any():
+        return
+    units = ((7200.0, 3600.0, "h"), (120.0, 60.0, "min"), (0.0, 1.0, "s"))
+    unit, name = next(u[1:] for u in units if elapsed_s[known].max() >= u[0])
+    # Time need not grow evenly with steps, so ticks sit where the table says each time was reached.
+    time = np.concatenate(([0.0], np.maximum.accumulate(elapsed_s[known]) / unit))
+    steps = np.concatenate(([0.0], frames[known]))
+    ticks = [t for t in MaxNLocator(5).tick_values(0.0, time[-1]) if 0.0 <= t <= time[-1]]
+    top = axis.secondary_xaxis("top")
+    top.set_xticks(np.interp(ticks, time, steps), [f"{t:g} {name}" for t in ticks])
+    top.tick_params(labelsize=7, length=2, colors="grey")

@@ -1,0 +1,63 @@
+"""Settings of a run that goes on."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+from skatemount import config as configuration
+from skatemount.config import Config
+from skatemount.runs.find import find_checkpoint
+from skatemount.runs.folder import RunFolder
+from skatemount.utils.errors import ConfigError
+
+
+def resumed(config: Config, overrides: list[str]) -> Config:
+    """The settings of a run that goes on: what it saved, and what the command line changes in it.
+
+    Args:
+        config: As composed from the command line.
+        overrides: What the user asked for.
+
+    Returns:
+        The same settings unless ``resume`` is set.
+
+    Raises:
+        ConfigError: Nothing to go on with, or see `change_saved`.
+    """
+    if config.resume is None:
+        return config
+    folder = find_checkpoint(config.resume, Path(config.logger.root), setting="resume")
+    saved = configuration.from_dict(RunFolder.open(folder, setting="resume").config)
+    change_saved(saved, config, overrides)
+    saved.resume = str(folder)
+    return saved
+
+
+def change_saved(saved: Config, config: Config, overrides: list[str]) -> None:
+    """Change in a run's saved settings what the user asks for and may change in the middle of a run.
+
+    Args:
+        saved: The run's settings, changed in place.
+        config: As composed from the command line.
+        overrides: What the user asked for.
+
+    Raises:
+        ConfigError: An override that cannot be changed, or a value that does not go with what was saved.
+    """
+    may_change = ("total_frames", "torch_threads", "physics.threads")
+    for override in overrides:
+        key = override.lstrip("+~").partition("=")[0]
+        if key in ("resume", "logger.root"):
+            # They say where the run is found.
+            continue
+        named = key in ("logger.name", "logger.experiment")
+        if named or not (key in may_change or key.startswith("logger.")):
+            raise ConfigError(
+                f"{override} cannot be changed with resume; {', '.join(may_change)} and logger.* (but name and "
+                "experiment) can, else use init_from"
+            )
+        *groups, name = key.split(".")
+        old, new = (functools.reduce(getattr, groups, each) for each in (saved, config))
+        setattr(old, name, getattr(new, name))
+    saved.validate()

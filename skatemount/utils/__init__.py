@@ -1,0 +1,1 @@
+"""Errors, devices, memory and text."""

@@ -1,0 +1,66 @@
+"""What is computed where: devices, and how many of torch's threads."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import time
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from skatemount.utils.errors import ConfigError
+
+
+def choose_device(name: str) -> torch.device:
+    """The device that a setting names.
+
+    Args:
+        name: ``auto`` (a GPU if there is one, else the CPU), or torch's name of it.
+
+    Raises:
+        ConfigError: There is no such device.
+    """
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    if not re.fullmatch(r"cpu|cuda(:\d+)?", name):
+        raise ConfigError(f"physics.device={name} must be auto, cpu, cuda or cuda:<number>")
+    try:
+        return torch.zeros(0, device=name).device
+    except (RuntimeError, AssertionError) as error:
+        raise ConfigError(f"physics.device={name} cannot be used: {str(error).splitlines()[0]}") from error
+
+
+def seconds(device: torch.device) -> float:
+    """A steady clock, read when the device has done all that it was given, s."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return time.perf_counter()
+
+
+@contextlib.contextmanager
+def torch_threads(number: int | None) -> Iterator[None]:
+    """Use so many of torch's threads for a while; as many as before if none."""
+    before = torch.get_num_threads()
+    if number is None or number == before:
+        yield
+        return
+    torch.set_num_threads(number)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def rng_state(device: torch.device) -> Tensor:
+    """State of torch's own generator on a device, from which exploration draws."""
+    return torch.cuda.get_rng_state(device) if device.type == "cuda" else torch.get_rng_state()
+
+
+def set_rng_state(state: Tensor, device: torch.device) -> None:
+    """Restore what `rng_state` returned."""
+    if device.type == "cuda":
+        torch.cuda.set_rng_state(state, device)
+    else:
+        torch.set_rng_state(state)

@@ -1,0 +1,128 @@
+"""Two policies that take turns: who acts, and what is said when they cannot be put together."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from skatemount.agents.agent import MODULE, Agent, make_card
+from skatemount.agents.pipeline import MARGIN, PipelineAgent, Relay
+from skatemount.config import Config, compose
+from skatemount.envs import MountTask
+from skatemount.envs.mount_env import MountEnv
+from skatemount.evaluation.suite_task import Trial
+from skatemount.models.actor_critic import ActorCritic
+from skatemount.runs.checkpoint import save_policy
+from skatemount.utils.errors import ConfigError
+
+
+class Always:
+    """A policy with one action, which sees a number of values."""
+
+    def __init__(self, value: float, size: int):
+        self.value, self.size = value, size
+
+    def actor(self, seen: TensorDict) -> TensorDict:
+        assert seen["observation"].shape[1] == self.size
+        return seen.set("action", torch.full((*seen.shape, 12), self.value))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Policies that fit each other, one that sees more and one that sees less."""
+    folder = tmp_path_factory.mktemp("policies")
+    observations = {"walk": "default", "mount": "default", "past": "history", "blind": "compact"}
+    for seed, (name, observation) in enumerate(observations.items()):
+        config: Config = compose("unfixed", ["network.actor=[8]", "network.critic=[8]", f"observation={observation}"])
+        task = MountTask(config=config)
+        mdp = task.make_mdp(torch.Generator())
+        torch.manual_seed(seed)
+        networks = ActorCritic(config.network, mdp.observation.size, mdp.privileged.size)
+        save_policy(folder / f"{name}.safetensors", {MODULE: networks}, make_card(config, task, seed))
+    return folder
+
+
+def pair(folder: Path, first: str = "walk", second: str = "mount") -> str:
+    return f"{folder / first}.safetensors+{folder / second}.safetensors"
+
+
+def test_the_nearer_the_board_the_later_policy(make_env) -> None:
+    env: MountEnv = make_env("unfixed", 4)
+    seen = env.reset()
+    size = seen["observation"].shape[1]
+    walk, mount = Always(1.0, 5), Always(2.0, size)
+    relay = Relay(walk, mount, torch.arange(5), handover=0.6)
+    act = relay.actor_in(env)
+
+    def acting(*distances: float) -> list[float]:
+        env.episode.distance = torch.tensor(distances)
+        return act(seen.clone())["action"][:, 0].tolist()
+
+    assert acting(2.0, 0.61, 0.59, 0.1) == [1, 1, 2, 2]
+    # Whoever has taken over keeps its turn for a while; who has not does not.
+    between = 0.6 + MARGIN / 2
+    assert acting(between, between, between, between) == [1, 1, 2, 2]
+    assert acting(0.5, 2.0, 2.0, 0.3) == [2, 1, 1, 2]
+    # Each evaluation round begins anew.
+    act = relay.actor_in(env)
+    assert acting(between, between, between, between) == [1, 1, 1, 1]
+
+
+@pytest.mark.parametrize(("first", "second"), [("walk", "mount"), ("walk", "past"), ("blind", "mount")])
+def test_a_pipeline_is_tried_as_one_policy(folder: Path, first: str, second: str) -> None:
+    asked = [
+        f"pipeline={pair(folder, first, second)}",
+        "suite=approach-unfixed",
+        "episode_length=1",
+        "physics.num_worlds=4",
+        "observation.noise=false",
+    ]
+
+    def trial(*more: str) -> Trial:
+        (made,) = Trial.prepare(compose(None, [*asked, *more]), [*asked, *more])
+        return made
+
+    def energy(tried: Trial) -> list[float]:
+        return tried.evaluate(4).records.energy.tolist()
+
+    # Without noise, which depends on how many values are seen, robots do alike whatever else the other policy sees.
+    alone = [
+        Trial.of(Agent.load(str(folder / f"{n}.safetensors")), trial().suite, trial().overrides)
+        for n in (first, second)
+    ]
+    assert energy(trial("handover=0.01")) == energy(alone[0])
+    assert energy(trial("handover=100")) == energy(alone[1])
+    assert energy(alone[0]) != energy(alone[1])
+    again = trial("handover=0.3")
+    assert again.describe()["checkpoint"] == f"{first}+{second}"
+    words = shlex.split(again.record_command(3))
+    assert f"pipeline={pair(folder, first, second)}" in words and "handover=0.3" in words and "episode=3" in words
+
+
+@pytest.mark.parametrize(
+    ("spec", "said"),
+    [
+        ("gait", "pipeline=gait must be two policies, WALK+MOUNT"),
+        ("a+b+c", "must be two policies"),
+        ("+b", "must be two policies"),
+        ("balance+nothing", "pipeline='nothing': not found"),
+    ],
+)
+def test_mistakes_are_one_line(spec: str, said: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        PipelineAgent.load_pair(spec, 0.6)
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+def test_the_walking_policy_must_not_see_more(folder: Path) -> None:
+    with pytest.raises(ConfigError, match=r"it sees observation.command \(size=3.*blind.safetensors gives nothing"):
+        PipelineAgent.load_pair(pair(folder, "walk", "blind"), 0.6)
+
+
+def test_handover_is_a_distance() -> None:
+    with pytest.raises(ConfigError, match="handover=-1.0 must be above 0"):
+        compose(None, ["handover=-1"])

@@ -1,0 +1,120 @@
+"""The suites that there are."""
+
+from __future__ import annotations
+
+import functools
+from collections import Counter
+
+import pytest
+import torch
+
+from skatemount.config import Config, check_suite, compose, from_dict, suites, to_dict
+from skatemount.config.suite import SuiteConfig
+from skatemount.envs.task import MountTask
+from skatemount.evaluation.suite_task import expand, load_suite, trial_config
+from skatemount.utils.errors import ConfigError
+
+PAIRS = {"mount-fixed": "mount-unfixed", "approach-fixed": "approach-unfixed"}
+ONES = [name for name in suites() if name != "all"]
+
+
+@functools.cache
+def task(name: str, variant: str = "") -> Config:
+    found = load_suite(name)
+    return trial_config(compose("balance"), found, variant=found.variants.get(variant, []))
+
+
+def test_all_is_every_suite() -> None:
+    every = expand(load_suite("all"))
+    assert sorted(each.name for each in every) == sorted(ONES)
+    assert all(each.version >= 1 and each.description for each in every)
+
+
+def test_suites_share_no_worlds_but_for_the_pairs() -> None:
+    shared = [seed for seed, n in Counter(load_suite(name).seed for name in ONES).items() if n > 1]
+    assert {load_suite(name).seed for pair in PAIRS.items() for name in pair} == set(shared)
+    assert len(shared) == len(PAIRS)
+
+
+@pytest.mark.parametrize(("fixed", "free"), PAIRS.items())
+def test_a_pair_differs_in_the_board_being_fixed(fixed: str, free: str) -> None:
+    a, b = to_dict(task(fixed)), to_dict(task(free))
+    assert (a["start"].pop("board_fixed"), b["start"].pop("board_fixed")) == (1.0, 0.0)
+    for key in ("start", "board", "physics", "observation", "randomization", "termination", "episode_length"):
+        assert a[key] == b[key]
+    starts = [
+        MountTask(config=task(name)).make_sampler().draw(20, torch.Generator().manual_seed(7)) for name in (fixed, free)
+    ]
+    assert torch.equal(starts[0].base_pos, starts[1].base_pos)
+
+
+def test_lengths_and_boards_are_as_designed() -> None:
+    lengths = {name: task(name).episode_length for name in ONES}
+    assert lengths.pop("gait") == lengths.pop("far") == 10
+    assert {lengths.pop(name) for name in ("balance-fixed", "mount-fixed", "mount-unfixed")} == {5}
+    assert set(lengths.values()) == {6}
+    for name in ("mount-unfixed", "approach-unfixed", "rolling", "far", "pushed", "low-friction", "other-boards"):
+        assert task(name).start.board_fixed == 0.0, name
+
+
+def test_what_sets_the_hard_suites_apart() -> None:
+    near = task("approach-unfixed")
+    assert task("rolling").start.board_speed == [0.0, 0.5] and near.start.board_speed == [0.0, 0.0]
+    far = task("far")
+    assert far.start.distance == [1.0, 2.0]
+    assert far.termination["out_of_reach"].params["metres"] > 2.2
+    assert task("pushed").randomization.push_interval == [1.0, 2.0] and near.randomization.push_interval is None
+    slippery = task("low-friction").randomization.friction
+    assert slippery[1] < near.randomization.friction[0]
+
+
+@pytest.mark.parametrize("variant", load_suite("other-boards").variants)
+def test_other_boards_are_boards_that_training_does_not_vary_to(variant: str) -> None:
+    usual, other = task("approach-unfixed"), task("other-boards", variant)
+    assert other.randomization.board_mass == other.randomization.truck_stiffness == [1.0, 1.0]
+    a, b = to_dict(usual)["board"], to_dict(other)["board"]
+    changed = {key for key in a if a[key] != b[key]}
+    assert changed
+    for key, drawn in (
+        ("mass", usual.randomization.board_mass),
+        ("truck_stiffness", usual.randomization.truck_stiffness),
+    ):
+        if changed == {key}:
+            assert not drawn[0] <= b[key] / a[key] <= drawn[1]
+    MountTask(config=other)
+
+
+def test_a_suite_survives_being_saved_and_old_settings_have_none() -> None:
+    config = compose(None, ["suite=other-boards"])
+    assert from_dict(to_dict(config)) == config
+    assert from_dict(to_dict(config) | {"suite": None}).suite is None
+    assert compose().suite is None
+
+
+def test_an_unknown_suite_is_answered_with_those_there_are() -> None:
+    with pytest.raises(ConfigError, match=r"suite=walk is not a suite; there are: all, approach-fixed, .*, rolling$"):
+        check_suite("walk")
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"stage": "mount"}, "suite.name=''"),
+        ({"name": "a"}, "suite.stage=''"),
+        ({"name": "a", "stage": "mount", "members": ["far"]}, "a suite has one of the two"),
+        ({"name": "a", "members": ["far"], "overrides": ["seed=1"]}, "suite.members="),
+        ({"name": "a", "stage": "mount", "version": 0}, "suite.version=0"),
+        ({"name": "a", "stage": "mount", "seed": -1}, "suite.seed=-1"),
+    ],
+)
+def test_a_suite_that_cannot_be_is_one_line(settings: dict, said: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        SuiteConfig(**settings).validate()
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_suite_of_suites_of_suites_is_refused() -> None:
+    with pytest.raises(ConfigError, match="all is made of other suites itself"):
+        expand(SuiteConfig(name="more", members=["far", "all"]))
+    with pytest.raises(ConfigError, match="suite=near is not a suite"):
+        expand(SuiteConfig(name="more", members=["near"]))

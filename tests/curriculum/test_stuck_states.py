@@ -1,0 +1,135 @@
+"""Half-mounted states of rollouts become starts: the same state, with the board where boards start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from skatemount.config import compose
+from skatemount.curriculum.stuck_states import SIZE, Harvest, as_starts, half_mounted
+from skatemount.envs import MountEnv
+from skatemount.envs.geometry import rotate, rotate_inverse
+from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.state import SimState
+from skatemount.utils.errors import ConfigError
+
+STARTS = ["start.x=[-0.2,0.2]", "start.y=[-0.2,0.2]", "start.yaw=[-3,3]", "start.board_fixed=0.5"]
+
+
+def fidget(env: MountEnv, steps: int = 6) -> None:
+    """Small random movements about the stance."""
+    seen = env.reset()
+    for i in range(steps):
+        generator = torch.Generator().manual_seed(i)
+        seen["action"] = 0.1 * torch.randn(env.num_worlds, 12, generator=generator)
+        seen = env.step_mdp(env.step(seen))
+
+
+def velocity_on_board(sim: SimState) -> Tensor:
+    return rotate_inverse(sim.board_rot, rotate(sim.base_rot, sim.base_lin_vel))
+
+
+@pytest.fixture
+def env(make_env: Callable[..., MountEnv]) -> MountEnv:
+    return make_env("mount", 64, STARTS)
+
+
+def test_a_state_becomes_the_same_state(env: MountEnv) -> None:
+    fidget(env)
+    before = env.sim.clone()
+    rows = half_mounted(before, env.episode)
+    assert 3 < int(rows.sum()) < 64
+    env.physics.reset(torch.ones(64, dtype=torch.bool), as_starts(before, env.task.scene.deck_height))
+    after = env.physics.state()
+    fixed = before.board_fixed
+    assert 0 < int((fixed & rows).sum()) < int(rows.sum())
+    assert torch.equal(after.board_fixed, fixed)
+    for name in ("joint_pos", "joint_vel", "base_ang_vel"):
+        torch.testing.assert_close(getattr(after, name), getattr(before, name), atol=1e-5, rtol=1e-4)
+    for name in ("foot_pos_board", "board_pos_base", "board_rot_base"):
+        torch.testing.assert_close(getattr(after, name), getattr(before, name), atol=1e-5, rtol=0)
+    torch.testing.assert_close(velocity_on_board(after), velocity_on_board(before), atol=1e-4, rtol=0)
+    # Boards begin at the origin, level, along the x axis; a free one still rolls.
+    torch.testing.assert_close(after.board_rot, torch.eye(3).expand(64, 3, 3), atol=1e-5, rtol=0)
+    assert float(after.board_pos[:, :2].abs().max()) < 1e-6
+    rolling = rotate_inverse(before.board_rot, before.board_lin_vel)[:, 0] * ~fixed
+    assert float(rolling.abs().max()) > 0.01
+    torch.testing.assert_close(after.board_lin_vel[:, 0], rolling, atol=1e-3, rtol=0)
+
+
+def test_only_what_is_half_mounted_is_kept(make_env: Callable[..., MountEnv]) -> None:
+    env = make_env("mount", 64, ["start.x=[-0.6,0.6]", "start.y=[-0.6,0.6]", "start.yaw=[-3,3]"])
+    harvest = Harvest(env, 0.5, after=0.0)
+    fidget(env)
+    assert (env.episode.on_deck.sum(1) == 0).any()
+    kept = harvest._kept
+    assert kept is not None
+    mask = torch.arange(64) < len(kept)
+    env.physics.reset(mask, kept[:64])
+    feet = env.physics.state().foot_pos_board
+    over = (feet[..., :2].abs() < torch.tensor(env.mdp.context.deck_half)).all(-1) & (feet[..., 2].abs() < 0.03)
+    standing = over.sum(1)[mask]
+    assert int(standing.min()) >= 1 and int(standing.max()) <= 3
+
+
+def test_a_share_of_the_starts_is_replaced(env: MountEnv) -> None:
+    harvest = Harvest(env, 0.25, after=0.0)
+    drawn = env.task.make_sampler().draw(2000, torch.Generator().manual_seed(0))
+    drawn.force = torch.full((2000, 3), 7.0)
+    assert harvest.mix(drawn, torch.Generator()) is drawn  # nothing is kept yet
+    fidget(env)
+    mixed = harvest.mix(drawn, torch.Generator().manual_seed(0))
+    replaced = (mixed.joint_pos != drawn.joint_pos).any(1)
+    assert 0.2 < float(replaced.float().mean()) < 0.3
+    assert torch.equal(mixed.base_pos[~replaced], drawn.base_pos[~replaced])
+    assert (mixed.bin[replaced] == -1).all() and torch.equal(mixed.force, drawn.force)
+    assert mixed.joint_vel[replaced].abs().max() > 0.1
+
+
+def test_starts_of_a_bin_stay(env: MountEnv) -> None:
+    harvest = Harvest(env, 0.5, after=0.0)
+    fidget(env)
+    drawn = env.task.make_sampler().draw(400, torch.Generator().manual_seed(0))
+    drawn.bin = torch.arange(400) % 2 - 1  # every other one is of bin 0
+    replaced = (harvest.mix(drawn, torch.Generator()).joint_pos != drawn.joint_pos).any(1)
+    assert 60 < int(replaced.sum()) < 140 and (drawn.bin[replaced] == -1).all()
+
+
+def test_a_robot_on_its_way_is_not_kept(env: MountEnv) -> None:
+    harvest = Harvest(env, 0.5, after=0.1)
+    fidget(env, steps=3)  # 0.12 s, the contact at 0.04
+    assert half_mounted(env.sim, env.episode).any() and harvest._kept is None
+    fidget(env, steps=8)
+    assert harvest._kept is not None
+
+
+def test_the_environment_starts_from_them(env: MountEnv) -> None:
+    Harvest(env, 0.9, after=0.0)
+    fidget(env)
+    env.change_starts(env._change)  # what was drawn before there was a harvest is left
+    env.reset()
+    moving = env.sim.joint_vel.abs().amax(1) > 1e-3
+    assert 0.7 < float(moving.float().mean()) <= 1.0
+
+
+def test_old_states_make_room(env: MountEnv) -> None:
+    harvest = Harvest(env, 0.5, after=0.0)
+    fidget(env)
+    assert harvest._kept is not None
+    harvest._kept = WorldStart.cat([harvest._kept] * (SIZE // len(harvest._kept) + 1))
+    fidget(env)
+    assert len(harvest._kept) == SIZE
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.0])
+def test_share_out_of_range(share: float) -> None:
+    with pytest.raises(ConfigError, match=r"curriculum\.harvest=.* below 1"):
+        compose("mount", [f"curriculum.harvest={share}"])
+
+
+def test_not_in_a_chain() -> None:
+    with pytest.raises(ConfigError, match=r"curriculum\.harvest=0\.2 .*chain"):
+        compose(None, ["+curriculum=paper", "curriculum.harvest=0.2"])

@@ -1,0 +1,140 @@
+"""Symmetric networks: the image of a state gives the image of the action and the same value, after training too."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import nn
+from torch.autograd import grad
+
+from skatemount.losses.config import AlgorithmConfig
+from skatemount.losses.ppo import PPO
+from skatemount.models.actor_critic import ActorCritic
+from skatemount.models.config import NetworkConfig
+from skatemount.models.symmetry import Mirror, SymmetricLinear, SymmetricMLP
+
+SEEN = Mirror(torch.tensor([0, 2, 1, 3, 5, 4]), torch.tensor([1.0, -1, -1, 1, 1, 1]))
+HIDDEN = Mirror(torch.arange(3), torch.tensor([1.0, -1, 1]))
+ACTS = Mirror(torch.tensor([1, 0, 3, 2]), torch.tensor([-1.0, -1, 1, 1]))
+
+
+def make(symmetric: bool = True, seed: int = 0) -> ActorCritic:
+    torch.manual_seed(seed)
+    config = NetworkConfig(actor=[32, 16], critic=[32], symmetric=symmetric)
+    return ActorCritic(config, 6, 3, 4, (SEEN, HIDDEN, ACTS))
+
+
+def experience(networks: ActorCritic, seed: int) -> TensorDict:
+    """Actions in one-step episodes with a reward that tells left from right."""
+    torch.manual_seed(seed)
+    n, t = 64, 8
+    batch = TensorDict(batch_size=[n, t])
+    for key, size in (("observation", 6), ("privileged", 3)):
+        batch[key] = 3.0 * torch.randn(n, t, size) + 1.0
+        batch["next", key] = batch[key].clone()
+    with torch.no_grad():
+        networks.actor(batch)
+    batch["next", "reward"] = batch["action"][..., :1] + batch["action"][..., 1:2] + batch["action"][..., 2:3]
+    over = torch.ones(n, t, 1, dtype=torch.bool)
+    batch["next", "terminated"], batch["next", "done"] = over, over.clone()
+    return batch
+
+
+def asymmetry(networks: ActorCritic) -> tuple[float, float, float]:
+    """Largest difference between the image of what is done and what is done in the image: means, deviations, values."""
+    torch.manual_seed(99)
+    batch = TensorDict({"observation": torch.randn(50, 6) + 1, "privileged": torch.randn(50, 3) + 1}, [50])
+    image = TensorDict({"observation": SEEN(batch["observation"]), "privileged": HIDDEN(batch["privileged"])}, [50])
+    with torch.no_grad():
+        a, b = (networks.actor.get_dist(rows).base_dist for rows in (batch, image))
+        v, w = (networks.critic(rows)["state_value"] for rows in (batch, image))
+    deviations = a.scale[:, ACTS.permutation] - b.scale
+    return float((ACTS(a.loc) - b.loc).abs().max()), float(deviations.abs().max()), float((v - w).abs().max())
+
+
+def trained(networks: ActorCritic) -> ActorCritic:
+    settings = AlgorithmConfig(learning_rate=5e-3, target_kl=None, epochs=2)
+    ppo = PPO(settings, networks, 0.04, generator=torch.Generator().manual_seed(7))
+    for i in range(8):
+        ppo.update(experience(networks, i))
+    return networks
+
+
+def test_training_leaves_them_symmetric() -> None:
+    before = make()
+    start = [p.clone() for p in before.parameters()]
+    after = trained(before)
+    assert any(not torch.equal(a, b) for a, b in zip(start, after.parameters()))
+    assert max(asymmetry(after)) < 1e-5
+    assert min(asymmetry(trained(make(symmetric=False)))) > 1e-3
+
+
+def test_what_has_no_side_is_learnt_as_well() -> None:
+    """Half of the reward asks for two mirrored actions to differ: it cannot be followed; the third action can."""
+    after = trained(make())
+    with torch.no_grad():
+        means = after.actor.get_dist(experience(after, 50).flatten(0, 1)).base_dist.loc.mean(0)
+    assert float(means[2]) > 0.1 < float(means[3])
+
+
+def test_normalisers_see_both_sides() -> None:
+    networks = make()
+    batch = experience(networks, 0)
+    networks.observe(batch)
+    seen = torch.cat((batch["observation"], SEEN(batch["observation"]))).flatten(0, 1)
+    torch.testing.assert_close(networks.normalizers[0].mean, seen.mean(0))
+    torch.testing.assert_close(networks.normalizers[0].var, seen.var(0, correction=0))
+
+
+def test_weights_bring_their_mirror_images() -> None:
+    networks = trained(make())
+    bare = ActorCritic(networks.config, 6, 3, 4)
+    bare.load_state_dict(networks.state_dict())
+    assert asymmetry(bare) == asymmetry(networks)
+    bare.observe(experience(bare, 3))
+    assert max(asymmetry(bare)) < 1e-5
+
+
+@pytest.mark.parametrize("after", [Mirror.halves(8), Mirror.same(8)])
+def test_layer_starts_as_wide_as_a_plain_one(after: Mirror) -> None:
+    """Where an input has a partner; a weight that is its own image keeps its full size."""
+    torch.manual_seed(0)
+    size = 400
+    plain = torch.nn.Linear(size, 8).weight.detach().std()
+    layer = SymmetricLinear(Mirror.halves(size), after)
+    with torch.no_grad():
+        own = (layer(torch.eye(size)) - layer(torch.zeros(1, size))).std()
+    assert float(own / plain) == pytest.approx(1.0, rel=0.1)
+
+
+@pytest.mark.parametrize("after", [ACTS, Mirror.same(1)])
+def test_even_and_odd_parts_give_what_whole_layers_give(after: Mirror) -> None:
+    torch.manual_seed(0)
+    mlp = SymmetricMLP(SEEN, after, [8, 4], torch.nn.ELU)
+    x, y = torch.randn(2, 50, 6, requires_grad=True), torch.randn(2, 50, len(after.signs))
+    expected = nn.Sequential.forward(mlp, x)
+    torch.testing.assert_close(mlp(x), expected)
+    values = [x, *mlp.parameters()]
+    for got, due in zip(grad(mlp(x), values, y), grad(expected, values, y)):
+        torch.testing.assert_close(got, due)
+
+
+def test_a_copy_takes_the_mirror_images_that_it_is_given() -> None:
+    plain = Mirror(torch.arange(4), torch.ones(4))
+    copied = copy.deepcopy(plain)
+    copied.load_state_dict(ACTS.state_dict())
+    assert (plain.evens, copied.evens) == (4, ACTS.evens)
+
+
+@pytest.mark.parametrize("mirror", [SEEN, HIDDEN, ACTS, Mirror.halves(6), Mirror.same(3)])
+def test_parts_of_a_vector_are_its_even_and_its_odd_part(mirror: Mirror) -> None:
+    torch.manual_seed(0)
+    x, w = torch.randn(2, 5, len(mirror.signs))
+    both, image = mirror.coordinates(x), mirror.coordinates(mirror(x))
+    assert torch.equal(image[:, : mirror.evens], both[:, : mirror.evens])
+    assert torch.equal(image[:, mirror.evens :], -both[:, mirror.evens :])
+    factors = torch.cat((mirror.project(w), mirror.project(w, odd=True)), 1)
+    torch.testing.assert_close((both * factors).sum(-1), (x * w).sum(-1))

@@ -1,0 +1,72 @@
+"""The stopwatch: who spent how long, and that nothing is left behind."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+from tiny import SILENT, TINY
+
+from skatemount.config import compose
+from skatemount.profiling.stopwatch import COLLECTING, LEARNING, Stopwatch, watch
+from skatemount.training.trainer import Trainer
+
+
+class Worker:
+    def outer(self) -> str:
+        time.sleep(0.02)
+        return self.inner()
+
+    def inner(self) -> str:
+        time.sleep(0.05)
+        return "done"
+
+
+def test_a_part_does_not_count_what_is_timed_inside_it() -> None:
+    worker, stopwatch = Worker(), Stopwatch()
+    stopwatch.time(worker, "outer", "outer")
+    stopwatch.time(worker, "inner", "inner")
+    assert worker.outer() == "done"
+    assert 0.02 <= stopwatch.spent["outer"] < 0.05 <= stopwatch.spent["inner"]
+
+
+def test_a_whole_part_counts_what_is_timed_inside_it() -> None:
+    worker, stopwatch = Worker(), Stopwatch()
+    stopwatch.time(worker, "outer", "outer", whole=True)
+    stopwatch.time(worker, "inner", "inner")
+    worker.outer()
+    assert stopwatch.spent["outer"] >= 0.07 and "inner" not in stopwatch.spent
+    worker.inner()
+    assert stopwatch.spent["inner"] >= 0.05
+
+
+def test_the_attribute_is_put_back_after_an_error() -> None:
+    class Fails:
+        def work(self) -> None:
+            raise ValueError("as it must")
+
+    worker, stopwatch = Fails(), Stopwatch()
+    put_back = stopwatch.time(worker, "work", "work")
+    with pytest.raises(ValueError, match="as it must"):
+        worker.work()
+    assert stopwatch.spent["work"] > 0
+    put_back()
+    assert "work" not in vars(worker)
+
+
+def test_every_part_of_a_training_is_timed_and_left_as_it_was(tmp_path: Path) -> None:
+    trainer = Trainer(compose("balance", [*TINY, *SILENT, "init_from=null", f"logger.root={tmp_path}"]))
+    iterations = trainer.iterations()
+    watched = [(trainer.env.physics, "step"), (trainer.env.mdp, "observation"), (trainer.ppo, "_step")]
+    before = [getattr(owner, name) for owner, name in watched]
+    with watch(trainer) as stopwatch:
+        while "reset" not in stopwatch.spent or "update" not in stopwatch.spent:
+            next(iterations)
+    assert set(stopwatch.spent) == {*COLLECTING, *LEARNING}
+    assert [getattr(owner, name) for owner, name in watched] == before
+    spent = dict(stopwatch.spent)
+    next(iterations)
+    assert stopwatch.spent == spent
+    iterations.close()
+    trainer.close()

@@ -1,0 +1,235 @@
+"""A chain of stages: each from the last one's policy, one folder, and it can be stopped anywhere."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from tiny import BATCH, SILENT, TINY
+
+from skatemount.agents.agent import Agent
+from skatemount.config import compose
+from skatemount.curriculum.config import StageLink
+from skatemount.losses.ppo import PPO
+from skatemount.runs.find import find_checkpoint
+from skatemount.runs.folder import RunFolder
+from skatemount.train import train
+from skatemount.training.chain import Chain
+from skatemount.training.trainer import Trainer
+from skatemount.utils.errors import ConfigError
+
+pytestmark = pytest.mark.usefixtures("torch_as_it_was")
+
+TWO = [
+    "+curriculum=paper",
+    "~curriculum.stages.gait",
+    "~curriculum.stages.approach",
+    "~curriculum.stages.unfixed",
+    "curriculum.stages.balance.gate=null",
+    "curriculum.stages.mount.gate=null",
+    "curriculum.stages.balance.budget=1",
+    "curriculum.stages.mount.budget=1",
+]
+EVALUATED = ["logger.evaluate_every=1", "logger.evaluate_episodes=4"]
+
+
+def command(root: Path, *overrides: str) -> RunFolder:
+    """Run the verb, and return the newest run below the root."""
+    given = [*TINY, *SILENT, f"logger.root={root}", *overrides]
+    if any(o.startswith("resume=") for o in given):
+        may = ("logger.", "torch_threads", "physics.threads", "resume", "total_frames")
+        given = [o for o in given if o.startswith(may) or o in overrides]
+    train(compose(None, given), given)
+    return RunFolder.open(root / (root / "latest").read_text().strip())
+
+
+def weights(run: Path) -> dict[str, torch.Tensor]:
+    return Agent.load(str(run)).networks.state_dict()
+
+
+def evaluated(success: float) -> SimpleNamespace:
+    """What an evaluation tells the training."""
+    return SimpleNamespace(metrics=lambda: {"Evaluation/success": success, "Evaluation/feet_on_board": 1.0})
+
+
+def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
+    return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
+
+
+def report(run: RunFolder) -> dict[str, dict[str, Any]]:
+    return {stage["name"]: stage for stage in json.loads((run.path / "stages.json").read_text())["stages"]}
+
+
+def message(root: Path, *overrides: str) -> str:
+    with pytest.raises(ConfigError) as error:
+        command(root, *overrides)
+    text = str(error.value)
+    assert text and "\n" not in text
+    return text
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """Two stages of three iterations each."""
+    root = tmp_path_factory.mktemp("chain") / "runs"
+    return command(root, *TWO, f"total_frames={6 * BATCH}", "seed=3", "logger.csv=true", "logger.final_episodes=4")
+
+
+def test_one_folder_with_a_part_for_each_stage(chain: RunFolder) -> None:
+    assert chain.path.name.endswith("_paper")
+    for i, name in enumerate(("balance", "mount"), 1):
+        part = RunFolder.open(chain.path / f"{i}_{name}")
+        assert part.config["stage"]["name"] == name
+        assert part.config["seed"] == 3 and part.config["network"]["actor"] == [16]  # the user's settings
+        assert part.config["curriculum"]["kind"] == "none"
+        assert part.latest is not None and part.latest.name == f"step_{3 * BATCH:012d}"
+    stages = report(chain)
+    assert {name: stage["frames"] for name, stage in stages.items()} == {"balance": 3 * BATCH, "mount": 3 * BATCH}
+    assert all(stage["ended"] == "budget" and stage["seconds"] > 0 for stage in stages.values())
+    assert (chain.path / "curves.png").read_bytes().startswith(b"\x89PNG")
+    assert all(stage["evaluated"]["episodes"] == 4 for stage in stages.values())
+    assert stages["balance"]["starts_from"] is None
+    assert stages["mount"]["starts_from"] == str(chain.path / "1_balance")
+
+
+def test_the_chains_policy_is_that_of_its_last_stage(chain: RunFolder) -> None:
+    last = RunFolder(chain.path / "2_mount").latest
+    root = chain.path.parent.parent
+    assert find_checkpoint(str(chain.path)) == find_checkpoint("latest", root) == last
+    assert Agent.load("latest", root).card.stage == "mount"
+    assert Agent.load(str(chain.path / "1_balance")).card.stage == "balance"
+
+
+def test_a_stage_takes_over_everything_of_the_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[dict[str, torch.Tensor]] = []
+    original = Trainer.train
+
+    def spy(self: Trainer) -> Any:
+        begun.append({key: value.clone() for key, value in self.networks.state_dict().items()})
+        return original(self)
+
+    monkeypatch.setattr(Trainer, "train", spy)
+    run = command(tmp_path, *TWO, f"total_frames={4 * BATCH}")
+    ended = weights(run.path / "1_balance")
+    assert same(begun[1], ended)
+    # The deviation of the exploration and the normaliser's statistics are in there, and they have moved.
+    moved = {key for key in ended if not torch.equal(begun[0][key], ended[key])}
+    assert {"actor.module.0.module.1.parameter", "normalizers.0.mean", "normalizers.0.count"} <= moved
+
+
+def test_a_stage_may_take_its_own_statistics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of the stage before are forgotten; nothing is learned from the batch that gives the new ones."""
+    learned: list[str] = []
+    update = PPO.update
+
+    def spy(self: PPO, batch: Any) -> dict[str, float]:
+        learned.append(str(float(self.networks.normalizers[0].count)))
+        return update(self, batch)
+
+    monkeypatch.setattr(PPO, "update", spy)
+    given = [*TWO, f"total_frames={4 * BATCH}"]
+    old = command(tmp_path / "a", *given, "curriculum.stages.balance.renormalize=false")
+    # A state and its mirror image count.
+    assert learned == [f"{2 * i * BATCH:.1f}" for i in (0, 1, 2, 3)]
+    learned.clear()
+    new = command(tmp_path / "b", *given, "curriculum.stages.mount.renormalize=true")
+    assert learned == [f"{2 * i * BATCH:.1f}" for i in (0, 1, 1)]
+    counts = [weights(run.path)["normalizers.1.count"] for run in (old, new)]
+    assert counts == [8 * BATCH, 4 * BATCH]
+
+
+def test_a_gate_ends_a_stage_and_the_later_ones_get_what_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rates = iter([0, 3, 0, 0, 0, 0, 0, 0])
+    monkeypatch.setattr(Trainer, "_evaluate", lambda self, n: evaluated(next(rates) / 4))
+    run = command(tmp_path, *TWO, *EVALUATED, f"total_frames={8 * BATCH}", "curriculum.stages.balance.gate=0.75")
+    stages = report(run)
+    assert (stages["balance"]["ended"], stages["balance"]["frames"]) == ("gate", 2 * BATCH)
+    assert stages["balance"]["success"] == 0.75
+    assert (stages["mount"]["ended"], stages["mount"]["frames"]) == ("budget", 6 * BATCH)
+    # The best is one of the last stage, although an earlier stage had a higher score.
+    assert run.best is not None and run.best.parent.parent.name == "2_mount"
+
+
+def test_stopped_between_stages_it_goes_on_exactly(
+    chain: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patched:
+        begin = Trainer.train
+
+        def stopped(self: Trainer) -> Any:
+            if self.config.stage.name == "mount":
+                raise KeyboardInterrupt
+            return begin(self)
+
+        patched.setattr(Trainer, "train", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            command(tmp_path, *TWO, f"total_frames={6 * BATCH}", "seed=3")
+    run = command(tmp_path, "resume=latest")
+    assert len(list((tmp_path / "skatemount").iterdir())) == 1
+    assert same(weights(run.path), weights(chain.path))
+    assert report(run)["mount"]["ended"] == "budget"
+
+
+def test_stopped_in_the_middle_of_a_stage_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    update, calls = PPO.update, []
+
+    def interrupted(self: PPO, batch: Any) -> dict[str, float]:
+        calls.append(batch)
+        if len(calls) == 5:
+            signal.raise_signal(signal.SIGTERM)
+        return update(self, batch)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(PPO, "update", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            command(tmp_path, *TWO, f"total_frames={6 * BATCH}")
+    run = RunFolder.open(next(tmp_path.glob("skatemount/*")))
+    stages = report(run)
+    assert (stages["balance"]["ended"], stages["mount"]["ended"], stages["mount"]["frames"]) == ("budget", None, BATCH)
+    policy = weights(run.path / "1_balance")
+    command(tmp_path, f"resume={run.path}")
+    assert report(run)["mount"]["frames"] == 3 * BATCH and report(run)["mount"]["ended"] == "budget"
+    assert same(policy, weights(run.path / "1_balance"))
+    assert "all stages" in message(tmp_path, f"resume={run.path}")
+    # More frames go to the last stage; the first one stays as it is.
+    command(tmp_path, f"resume={run.path}", f"total_frames={8 * BATCH}")
+    assert [stage["frames"] for stage in report(run).values()] == [3 * BATCH, 5 * BATCH]
+
+
+def test_a_stage_without_a_checkpoint_begins_anew(tmp_path: Path) -> None:
+    given = [*TINY, *SILENT, f"logger.root={tmp_path}", *TWO, f"total_frames={2 * BATCH}"]
+    chain = Chain.begin(compose(None, given), given)
+    started = Trainer(chain.parts[0].config, [], chain.run)  # and killed at once
+    started.close()
+    chain.train()
+    assert [part.frames for part in chain.parts] == [BATCH, BATCH]
+
+
+def test_only_the_first_stage_starts_from_what_the_user_names(chain: RunFolder, tmp_path: Path) -> None:
+    spec = str(chain.path / "1_balance")
+    run = command(tmp_path, *TWO, f"total_frames={2 * BATCH}", f"init_from={spec}")
+    assert [stage["starts_from"] for stage in report(run).values()] == [spec, str(run.path / "1_balance")]
+
+
+def test_mistakes_are_one_line_before_anything_runs(chain: RunFolder, tmp_path: Path) -> None:
+    root = tmp_path / "runs"
+    assert "+stage=mount with +curriculum=paper" in message(root, *TWO, "+stage=mount")
+    gate = "curriculum.stages.mount.gate"
+    assert f"{gate}=0.5 needs evaluations" in message(root, *TWO, f"{gate}=0.5")
+    assert f"{gate}=2.0 must be" in message(root, *TWO, *EVALUATED, f"{gate}=2")
+    assert "stages.mount.budget=0" in message(root, *TWO, "curriculum.stages.mount.budget=0")
+    assert not root.exists()
+    config = compose(None, TWO)
+    config.curriculum.stages["leap"] = StageLink()
+    with pytest.raises(ConfigError, match="leap is not a stage"):
+        config.validate()
+    old = f"resume={chain.path}/1_balance"
+    assert f"resume={chain.path}" in message(root, old) and "newest checkpoint only" in message(root, old)
+    assert "seed=4 cannot be changed" in message(root, f"resume={chain.path}", "seed=4")

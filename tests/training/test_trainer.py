@@ -1,0 +1,365 @@
+"""`python -m skatemount.train` from the settings to a complete run folder, with a few worlds."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import re
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+import yaml
+from tiny import BATCH, SILENT, TINY
+
+from skatemount.agents.agent import Agent
+from skatemount.config import Config, compose, from_dict
+from skatemount.losses.ppo import PPO
+from skatemount.runs.checkpoint import list_checkpoints, load_training_state
+from skatemount.runs.find import find_checkpoint
+from skatemount.runs.folder import RunFolder
+from skatemount.runs.lock import claimed
+from skatemount.train import train
+from skatemount.training.resume import resumed
+from skatemount.training.trainer import Trainer
+from skatemount.utils.errors import ConfigError
+
+pytestmark = pytest.mark.usefixtures("torch_as_it_was")
+
+
+def run(root: Path, *overrides: str, stage: str = "balance", frames: int = 3 * BATCH) -> RunFolder:
+    """Train, and return the newest run below the root."""
+    given = [*TINY, f"total_frames={frames}", f"logger.root={root}", *overrides]
+    train(compose(stage, given), [f"+stage={stage}", *given])
+    return RunFolder.open(root / (root / "latest").read_text().strip())
+
+
+def rows(run: RunFolder) -> list[dict[str, str]]:
+    with run.metrics_csv.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def weights(run: RunFolder) -> dict[str, torch.Tensor]:
+    return Agent.load(str(run.path)).networks.state_dict()
+
+
+def evaluated(success: float) -> SimpleNamespace:
+    """What an evaluation tells the training."""
+    return SimpleNamespace(metrics=lambda: {"Evaluation/success": success, "Evaluation/feet_on_board": 1.0})
+
+
+def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
+    return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A run of ten iterations with evaluations."""
+    root = tmp_path_factory.mktemp("trained") / "runs"
+    overrides = ["logger.evaluate_every=5", "logger.evaluate_episodes=8", "logger.checkpoint_every=2"]
+    return run(root, *overrides, "seed=3", frames=10 * BATCH)
+
+
+def test_complete_run_folder(trained: RunFolder) -> None:
+    path = trained.path
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_balance", path.name)
+    for name in ("config.yaml", "overrides.yaml", "git.diff", "environment.txt", "metrics.csv", "latest", "best"):
+        assert (path / name).stat().st_size > 0, name
+    assert trained.curves_png.read_bytes().startswith(b"\x89PNG")
+    assert any(path.glob("events.out.tfevents.*"))
+    config = from_dict(trained.config)
+    assert (config.seed, config.stage.name, config.physics.num_worlds) == (3, "balance", 8)
+    assert "+stage=balance" in yaml.safe_load((path / "overrides.yaml").read_text())
+    assert trained.latest is not None and trained.latest.name == f"step_{10 * BATCH:012d}"
+    # Three newest, every second iteration, and the best.
+    kept = [folder.name for folder in list_checkpoints(trained.checkpoints)]
+    assert kept[-3:] == [f"step_{i * BATCH:012d}" for i in (6, 8, 10)]
+    agent = Agent.load(str(path))
+    assert (agent.card.stage, agent.card.frames) == ("balance", 10 * BATCH)
+    assert agent.config == config
+
+
+def test_metrics_have_the_fields_names(trained: RunFolder) -> None:
+    table = rows(trained)
+    assert [int(float(row["frames"])) for row in table] == [i * BATCH for i in range(1, 11)]
+    last = table[-1]
+    for name in ("Loss/surrogate", "Loss/value_function", "Loss/entropy", "Loss/kl", "Loss/learning_rate"):
+        assert float(last[name]) == pytest.approx(float(last[name])), name  # a number
+    for name in ("Policy/mean_std", "Perf/total_fps", "Perf/collection_time", "Perf/learning_time"):
+        assert float(last[name]) > 0, name
+    for name in ("Train/mean_reward", "Train/mean_episode_length", "Success/rate", "Episode_Reward/feet_on_board"):
+        assert any(row[name] for row in table), name
+    assert {"Episode_Termination/time_out", "Episode_Termination/trunk_contact"} <= last.keys()
+    evaluated = [i for i, row in enumerate(table, 1) if row["Evaluation/success"]]
+    assert evaluated == [5, 10]
+
+
+def test_same_seed_same_weights_whatever_the_threads(tmp_path: Path) -> None:
+    one = run(tmp_path / "a", "seed=5", *SILENT)
+    assert same(weights(one), weights(run(tmp_path / "b", "seed=5", "physics.threads=2", *SILENT)))
+    assert not same(weights(one), weights(run(tmp_path / "c", "seed=6", *SILENT)))
+
+
+def test_a_gate_ends_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rates = iter([1, 2, 3, 4])
+    monkeypatch.setattr(Trainer, "_evaluate", lambda self, episodes: evaluated(next(rates) / 4))
+    left = run(tmp_path, "logger.evaluate_every=2", "stage.gate=0.5", *SILENT, frames=20 * BATCH)
+    assert left.latest is not None and left.latest.name == f"step_{4 * BATCH:012d}"
+
+
+def test_resume_goes_on(trained: RunFolder, tmp_path: Path) -> None:
+    begun = run(tmp_path, "algorithm.target_kl=1e-6", "logger.name=mine", frames=3 * BATCH)
+    before = load_training_state(find_checkpoint(str(begun.path)))
+    rate = before["ppo"]["optimizer"]["param_groups"][0]["lr"]
+    assert rate < begun.config["algorithm"]["learning_rate"]  # the KL has pushed it down
+
+    given = [f"resume={begun.path}", f"total_frames={5 * BATCH}", *(o for o in TINY if o.startswith("logger."))]
+    train(compose(None, [*given, "torch_threads=1", "physics.threads=1"]), given)
+    assert len(list((tmp_path / "skatemount").iterdir())) == 1  # no second folder
+    table = rows(begun)
+    assert [int(float(row["frames"])) for row in table] == [i * BATCH for i in range(1, 6)]
+    # With this KL each step lowers it, until it is at its bound.
+    rates = [float(row["Loss/learning_rate"]) for row in table]
+    assert rates[2] == pytest.approx(rate)
+    assert rates[3] <= rate
+    after = load_training_state(find_checkpoint(str(begun.path)))
+    assert (after["frames"], after["iteration"]) == (5 * BATCH, 5)
+    assert after["elapsed"] > before["elapsed"]
+    steps = [s["optimizer"]["state"][0]["step"] for s in (before["ppo"], after["ppo"])]
+    assert float(steps[1]) == pytest.approx(float(steps[0]) * 5 / 3)  # Adam goes on as well
+
+
+def test_resumed_trainer_has_what_was_saved(trained: RunFolder) -> None:
+    given = [f"resume={trained.path}", f"total_frames={99 * BATCH}"]
+    trainer = Trainer(resumed(compose(None, [*given, "physics.threads=1", "torch_threads=1"]), given), given)
+    trainer.close()
+    assert same(trainer.networks.state_dict(), weights(trained))
+    assert (trainer.frames, trainer.iteration) == (10 * BATCH, 10)
+    assert trainer.config.seed == 3
+    assert trainer.config.total_frames == 99 * BATCH
+    assert trainer.run.path == trained.path
+
+
+def go_on(run: RunFolder, *overrides: str) -> Config:
+    given = [f"resume={run.path}", *overrides]
+    return resumed(compose(None, given), given)
+
+
+def test_a_resumed_run_keeps_its_settings_but_for_what_is_asked_for(tmp_path: Path) -> None:
+    begun = run(tmp_path, *SILENT, "logger.keep_checkpoints=7", "logger.checkpoint_every=2", "logger.name=mine")
+    config = go_on(begun, "logger.plot_every=5", f"++total_frames={9 * BATCH}")
+    saved = from_dict(begun.config)
+    assert config.logger == dataclasses.replace(saved.logger, plot_every=5.0)
+    assert (config.logger.keep_checkpoints, config.logger.csv) == (7, False)
+    assert (config.physics.threads, config.torch_threads, config.total_frames) == (1, 1, 9 * BATCH)
+    assert go_on(begun, "torch_threads=2", "physics.threads=2").physics.threads == 2
+    assert "logger.name=other cannot be changed" in message(lambda: go_on(begun, "logger.name=other"))
+
+
+def test_a_resumed_run_is_checked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Trainer, "_evaluate", lambda self, episodes: evaluated(0.1))
+    begun = run(tmp_path, *SILENT, "logger.evaluate_every=2", "stage.gate=0.9")
+    assert "stage.gate=0.9 needs evaluations" in message(lambda: go_on(begun, "logger.evaluate_every=0"))
+
+
+def test_a_run_goes_on_only_on_the_kind_of_device_that_it_was_trained_on(
+    trained: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load = load_training_state
+    monkeypatch.setattr("skatemount.runs.checkpoint.load_training_state", lambda path: load(path) | {"device": "cuda"})
+    text = message(lambda: Trainer(go_on(trained, f"total_frames={99 * BATCH}")))
+    assert text.startswith("physics.device=cpu") and "cuda" in text
+
+
+def test_steps_that_have_become_small_stay_small_when_a_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # At first every step is far below the target, at the end far above it.
+    settling = ["algorithm.target_kl=1000", "algorithm.final_kl=1e-9", "algorithm.settle=1"]
+    with monkeypatch.context() as patched:
+        interrupt_at(patched, 9)
+        with pytest.raises(KeyboardInterrupt):
+            run(tmp_path, "logger.tensorboard=false", *settling, frames=10 * BATCH)
+    (left,) = (tmp_path / "skatemount").iterdir()
+    begun = RunFolder.open(left)
+    config = go_on(begun)
+    train(config, [f"resume={begun.path}"])
+    rates = [float(row["Loss/learning_rate"]) for row in rows(begun)]
+    assert len(rates) == 10 and rates[8] < rates[7]
+
+
+def test_resume_takes_the_checkpoint_that_is_named(tmp_path: Path) -> None:
+    run(tmp_path, *SILENT, "logger.checkpoint_every=1", frames=3 * BATCH)
+    for spec, frames in (("latest", 3 * BATCH), (str(next(tmp_path.rglob(f"step_*{2 * BATCH}"))), 2 * BATCH)):
+        given = [f"resume={spec}", f"total_frames={9 * BATCH}", f"logger.root={tmp_path}"]
+        trainer = Trainer(resumed(compose(None, given), given), given)
+        trainer.close()
+        assert trainer.frames == frames
+
+
+def test_resume_refuses_a_run_that_is_still_being_trained(tmp_path: Path) -> None:
+    begun = run(tmp_path, "logger.tensorboard=false", frames=3 * BATCH)
+    before = begun.metrics_csv.read_bytes()
+    given = [f"resume={begun.path}", f"total_frames={5 * BATCH}", f"logger.root={tmp_path}"]
+    with claimed(begun.path):
+        refused = message(lambda: train(compose(None, given), given))
+    assert str(begun.path) in refused and "another process" in refused
+    assert begun.metrics_csv.read_bytes() == before
+    assert len(list(begun.checkpoints.iterdir())) == 1
+
+
+def message(function: Callable[[], Any]) -> str:
+    with pytest.raises(ConfigError) as error:
+        function()
+    text = str(error.value)
+    assert text and "\n" not in text
+    return text
+
+
+def test_resume_refuses_what_cannot_change(trained: RunFolder, tmp_path: Path) -> None:
+    def resume(*overrides: str) -> str:
+        given = [f"resume={trained.path}", *overrides]
+        return message(lambda: train(compose(None, given), given))
+
+    assert "seed=1 cannot be changed with resume" in resume("seed=1")
+    assert "algorithm.clip=0.1" in resume("total_frames=9999", "algorithm.clip=0.1")
+    assert f"({10 * BATCH})" in resume("torch_threads=1")  # nothing left to do
+    policy = ["resume=pretrained:balance"]
+    refused = message(lambda: train(compose(None, policy), policy))
+    assert refused.startswith("resume=") and "not a run folder" in refused
+    nowhere = [f"resume={tmp_path}"]
+    assert str(tmp_path) in message(lambda: train(compose(None, nowhere), nowhere))
+
+
+def test_starts_from_a_runs_policy(trained: RunFolder, tmp_path: Path) -> None:
+    spec = f"init_from={trained.path}"
+    trainer = Trainer(compose("mount", [*TINY, f"logger.root={tmp_path}", spec]), [])
+    trainer.close()
+    assert same(trainer.networks.state_dict(), weights(trained))
+    assert trainer.frames == 0
+    assert trainer.ppo.learning_rate == trainer.config.algorithm.min_learning_rate  # a trained policy starts gently
+    assert str(trained.path) in trainer.describe()
+
+
+def test_a_policy_taken_over_explores_no_more_widely_than_this_run_allows(trained: RunFolder, tmp_path: Path) -> None:
+    limits = ["network.init_std=0.1", "network.max_std=0.15"]
+    trainer = Trainer(compose("mount", [*TINY, f"logger.root={tmp_path}", f"init_from={trained.path}", *limits]), [])
+    seen = trainer.env.reset()
+    trainer.close()
+    assert (trainer.networks.actor(seen)["scale"] <= 0.15).all()
+    assert not same(trainer.networks.state_dict(), weights(trained))
+
+
+def test_latest_is_of_the_settings_root(trained: RunFolder, runs_root: Path) -> None:
+    root = trained.path.parent.parent
+    trainer = Trainer(compose("mount", [*TINY, f"logger.root={root}", "logger.experiment=x", "init_from=latest"]), [])
+    trainer.close()
+    assert same(trainer.networks.state_dict(), weights(trained))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (["network.actor=[16,8]"], ["actor=[16], this run's actor=[16, 8]", "init_from=null"]),
+        (["network.normalize=false"], ["normalize=True", "normalize=False"]),
+        (["network.activation=relu"], ["activation=elu", "activation=relu"]),
+        (["observation=compact"], ["observation", "command"]),
+        (["physics.substeps=2"], ["control_step"]),
+        (["robot.hip_inward=0.1"], ["default_pose"]),
+    ],
+    ids=lambda value: value[0],
+)
+def test_policy_that_does_not_fit_is_one_line(
+    overrides: list[str], expected: list[str], trained: RunFolder, tmp_path: Path
+) -> None:
+    config = compose("mount", [*TINY, f"logger.root={tmp_path}", f"init_from={trained.path}", *overrides])
+    text = message(lambda: Trainer(config, []))
+    assert text.startswith(f"init_from={trained.path}")
+    for part in expected:
+        assert part in text
+    assert not any(tmp_path.iterdir())  # no run folder for what never ran
+
+
+def test_request_to_end_leaves_a_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    update, calls = PPO.update, []
+
+    def interrupted(self: PPO, batch: Any) -> dict[str, float]:
+        calls.append(batch)
+        if len(calls) == 3:
+            signal.raise_signal(signal.SIGTERM)
+        return update(self, batch)
+
+    monkeypatch.setattr(PPO, "update", interrupted)
+    handler = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, *SILENT, frames=100 * BATCH)
+    assert signal.getsignal(signal.SIGTERM) == handler
+    left = RunFolder.open(tmp_path / (tmp_path / "latest").read_text().strip())
+    assert left.latest is not None
+    assert load_training_state(left.latest)["frames"] == 2 * BATCH
+
+
+def interrupt_at(monkeypatch: pytest.MonkeyPatch, call: int) -> None:
+    """Let the user end the training when an update, counted from 1, is about to begin."""
+    update, calls = PPO.update, []
+
+    def interrupted(self: PPO, batch: Any) -> dict[str, float]:
+        calls.append(batch)
+        if len(calls) == call:
+            raise KeyboardInterrupt
+        return update(self, batch)
+
+    monkeypatch.setattr(PPO, "update", interrupted)
+
+
+def test_a_request_to_end_does_not_replace_what_was_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Trainer, "_evaluate", lambda self, episodes: evaluated(0.9))
+    interrupt_at(monkeypatch, 3)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, "logger.evaluate_every=2", *SILENT, frames=100 * BATCH)
+    left = RunFolder.open(tmp_path / (tmp_path / "latest").read_text().strip())
+    assert left.best is not None and left.best == left.latest
+    assert Agent.load(str(left.best)).card.metrics["Evaluation/success"] == 0.9
+
+
+def test_a_request_to_end_before_anything_is_learnt_leaves_no_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interrupt_at(monkeypatch, 1)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, *SILENT, frames=100 * BATCH)
+    (left,) = (tmp_path / "skatemount").iterdir()
+    assert RunFolder.open(left).latest is None
+
+
+def test_what_is_not_finite_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    update, calls = PPO.update, []
+
+    def broken(self: PPO, batch: Any) -> dict[str, float]:
+        calls.append(batch)
+        if len(calls) == 3:
+            batch["next", "reward"][0, 0] = torch.nan
+        return update(self, batch)
+
+    monkeypatch.setattr(PPO, "update", broken)
+    with pytest.raises(FloatingPointError, match="next.reward is not finite in 1 of 8 worlds"):
+        run(tmp_path, "logger.checkpoint_every=1", *SILENT, frames=100 * BATCH)
+    left = RunFolder.open(tmp_path / (tmp_path / "latest").read_text().strip())
+    assert left.latest is not None and left.latest.name == f"step_{2 * BATCH:012d}"  # the last good one
+
+
+@pytest.mark.parametrize("option", ["precision=bf16", "network.symmetric=false", "network.normalize=false"])
+def test_options_run(option: str, tmp_path: Path) -> None:
+    left = run(tmp_path, option, "init_from=null", *SILENT, stage="unfixed", frames=BATCH)
+    assert left.latest is not None
+
+
+def test_final_evaluation_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left = run(tmp_path, "logger.final_episodes=8", *SILENT, frames=BATCH)
+    printed = capsys.readouterr().out
+    assert "95 % interval" in printed and "feet on board" in printed
+    assert str(left.path) in printed
