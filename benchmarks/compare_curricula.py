@@ -34,8 +34,8 @@ import numpy as np
 from omegaconf import OmegaConf
 
 from skatemount import config as configuration
-from skatemount.agents.agent import Agent
-from skatemount.evaluation.suite_task import Trial, load_suite
+from skatemount.agents.trained_policy import TrainedPolicy
+from skatemount.evaluation.suite_task import EvaluationTask, load_suite
 from skatemount.runs import atomic
 from skatemount.runs.checkpoint import list_checkpoints, read_card
 from skatemount.runs.folder import RunFolder
@@ -54,9 +54,9 @@ LINES = tuple(zip(COLOURS, ("-", "--", ":")))
 """Of each method: curves may lie on each other."""
 
 
-def count_successes(agent: Agent, suite: str, episodes: int) -> int:
+def count_successes(agent: TrainedPolicy, suite: str, episodes: int) -> int:
     """How many of the suite's episodes a policy succeeds in; every policy meets the same ones."""
-    return Trial.of(agent, load_suite(suite)).evaluate(episodes).successes
+    return EvaluationTask.of(agent, load_suite(suite)).evaluate(episodes).successes
 
 
 @dataclass
@@ -131,7 +131,7 @@ class Comparison:
 
     def _logger(self, method: str) -> list[str]:
         config = configuration.compose("forward", self._overrides)
-        iterations = self.frames / (config.physics.num_worlds * config.collector.steps)
+        iterations = self.frames / (config.physics.num_worlds * config.collector.steps_per_env)
 
         def every(times: int) -> int:
             return max(1, math.ceil(iterations / times))
@@ -165,7 +165,7 @@ class Comparison:
         for suite in SUITES:
             key = f"{saved.folder.relative_to(self.folder).as_posix()} {suite}"
             if self.evaluated.get(key, {}).get("episodes") != episodes:
-                agent = agent or Agent.load(str(saved.folder))
+                agent = agent or TrainedPolicy.load(str(saved.folder))
                 successes = count_successes(agent, suite, episodes)
                 self._look_up()
                 self.evaluated[key] = {"successes": successes, "episodes": episodes}

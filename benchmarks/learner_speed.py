@@ -33,7 +33,7 @@ from skatemount.envs.mdp import Mdp
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.losses.ppo import PPO
 from skatemount.training.trainer import make_networks
-from skatemount.utils.memory import keep_freed_memory
+from skatemount.utils.memory import disable_malloc_trim
 
 ACTIONS = 12
 
@@ -120,7 +120,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.manual_seed(0)
     torch.set_num_threads(available_cores())
-    keep_freed_memory()
+    disable_malloc_trim()
     settings = [f"network={options.network}", "network.normalize=true"]
     config, plain = (compose(None, [*settings, f"network.symmetric={flag}"]) for flag in ("true", "false"))
     mdp = MountTask(config=config).make_mdp(torch.Generator())

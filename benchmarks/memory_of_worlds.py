@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from mujoco.batch import Batch
 
-from skatemount.agents.agent import Agent
+from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.envs.task import MountTask
@@ -33,7 +33,7 @@ STAGE = mujoco.mjtStage.mjSTAGE_VEL.value
 
 def trajectory(policy: str, worlds: int) -> tuple[mujoco.MjModel, np.ndarray, list[np.ndarray], np.ndarray, int]:
     """The model, a state of every world, the targets of the control steps after it, their actuators, and substeps."""
-    agent = Agent.load(f"pretrained:{policy}")
+    agent = TrainedPolicy.load(f"pretrained:{policy}")
     env = MountEnv(MountTask(stage="unfixed"), num_worlds=worlds, random_phase=True)
     data, targets = env.reset(), []
     with deterministic():

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 from torchrl.modules import MLP
 
-from skatemount.agents.agent import Agent
+from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.geometry import rotate_inverse
 from skatemount.models.actor_critic import ACTIVATIONS
@@ -42,7 +42,7 @@ class Experience:
     age: Tensor
 
     @classmethod
-    def collect(cls, agent: Agent, worlds: int, steps: int, seed: int) -> Experience:
+    def collect(cls, agent: TrainedPolicy, worlds: int, steps: int, seed: int) -> Experience:
         """Let a policy act as it does in training."""
         torch.manual_seed(seed)
         env = MountEnv(MountTask(config=agent.config), num_worlds=worlds, seed=seed)
@@ -78,7 +78,9 @@ class Experience:
         return stacked[old_enough], self.velocity[:, most:][old_enough], world[old_enough] % HELD_OUT > 0
 
 
-def reading_error(agent: Agent, inputs: Tensor, velocity: Tensor, fitted: Tensor, epochs: int, seed: int) -> Tensor:
+def reading_error(
+    agent: TrainedPolicy, inputs: Tensor, velocity: Tensor, fitted: Tensor, epochs: int, seed: int
+) -> Tensor:
     """Root mean square error of a network, as large as the policy's, that reads velocities, ``[9]``."""
     torch.manual_seed(seed)
     inputs = ((inputs - inputs[fitted].mean(0)) / (inputs[fitted].std(0) + 1e-3)).clamp(-10, 10)
@@ -109,7 +111,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     torch.set_float32_matmul_precision("medium")
-    agent = Agent.load(options.policy.removeprefix("checkpoint="))
+    agent = TrainedPolicy.load(options.policy.removeprefix("checkpoint="))
     if agent.config.observation.history_length != 1:
         sys.exit(f"{options.policy} sees {agent.config.observation.history_length} frames: name one that sees 1")
     experience = Experience.collect(agent, options.worlds, options.steps, options.seed)

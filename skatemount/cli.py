@@ -14,14 +14,15 @@ from omegaconf import DictConfig
 
 from skatemount import config as configuration
 from skatemount.config import Config
+from skatemount.config.versions import rename_override
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.quiet import ignore_torchrl_warnings
 
 _BELONGS_TO = {
-    **dict.fromkeys(("init_from", "grow", "total_frames", "precision"), ("train", "bench")),
+    **dict.fromkeys(("init_from", "init_from_expand", "total_frames", "precision"), ("train", "bench")),
     **dict.fromkeys(("algorithm", "collector", "curriculum"), ("train", "bench")),
     **dict.fromkeys(("resume", "torch_threads"), ("train",)),
-    **dict.fromkeys(("checkpoint", "pipeline", "handover", "suite"), ("evaluate", "record")),
+    **dict.fromkeys(("checkpoint", "pipeline", "switch_distance", "suite"), ("evaluate", "record")),
     "output": ("evaluate", "record", "bench"),
     "episodes": ("evaluate",),
     "json": ("evaluate", "bench"),
@@ -73,7 +74,7 @@ def run(verb: Callable[[Config, list[str]], None], name: str) -> None:
         sys.exit(2)
 
     try:
-        sys.argv[1:] = _stage_first(sys.argv[1:])
+        sys.argv[1:] = _stage_first([_today(each) for each in sys.argv[1:]])
         _check_choices(sys.argv[1:])
         application()
     except KeyboardInterrupt:
@@ -109,6 +110,15 @@ def _check_program(name: str, overrides: list[str]) -> None:
         if name not in programs:
             instead = f"; {_INSTEAD[name, key]}" if (name, key) in _INSTEAD else ""
             raise ConfigError(f"{override}: a setting of skatemount.{' and '.join(programs)} only{instead}")
+
+
+def _today(argument: str) -> str:
+    """Return an argument with the setting's name of today, and say so if the user wrote an older one."""
+    renamed = argument if argument.startswith("-") else rename_override(argument)
+    if renamed != argument:
+        old, new = (each.lstrip("+~").partition("=")[0] for each in (argument, renamed))
+        print(f"note: {old} is called {new} now", file=sys.stderr)
+    return renamed
 
 
 def _stage_first(arguments: list[str]) -> list[str]:

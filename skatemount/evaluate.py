@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from skatemount.config import Config
     from skatemount.evaluation.results import Evaluation
-    from skatemount.evaluation.suite_task import Trial
+    from skatemount.evaluation.suite_task import EvaluationTask
 
 
 def evaluate(config: Config, overrides: list[str]) -> None:
@@ -19,7 +19,7 @@ def evaluate(config: Config, overrides: list[str]) -> None:
     Settings: ``checkpoint`` (a run, a checkpoint, a file, ``latest``, ``best``, ``pretrained:NAME``), ``suite`` (the
     checkpoint's own task if null), ``episodes``, ``seed``, ``json`` (file for the results), ``output`` (folder for the
     results and a success map of each suite). Any setting of the task may be given besides;
-    `skatemount.evaluation.suite_task.trial_config` says how they go together.
+    `skatemount.evaluation.suite_task.evaluation_config` says how they go together.
 
     Args:
         config: As composed from the command line.
@@ -31,11 +31,11 @@ def evaluate(config: Config, overrides: list[str]) -> None:
     from skatemount.cli import prepare_outputs
     from skatemount.evaluation import report
     from skatemount.evaluation.success_map import plot_success_map
-    from skatemount.evaluation.suite_task import Trial
+    from skatemount.evaluation.suite_task import EvaluationTask
     from skatemount.runs.provenance import package_versions
 
     prepare_outputs(config)
-    trials = Trial.prepare(config, overrides)
+    trials = EvaluationTask.prepare(config, overrides)
     results = {}
     for i, trial in enumerate(trials):
         place = f" ({i + 1} of {len(trials)})" if len(trials) > 1 else ""
@@ -43,8 +43,8 @@ def evaluate(config: Config, overrides: list[str]) -> None:
         result.evaluated["versions"] = package_versions()
         results[trial.name] = result
         if config.output is not None:
-            _write(result.to_dict(), Path(config.output) / f"{trial.label}.json")
-            picture = Path(config.output) / f"{trial.label}.png"
+            _write(result.to_dict(), Path(config.output) / f"{trial.file_stem}.json")
+            picture = Path(config.output) / f"{trial.file_stem}.png"
             plot_success_map(result, [each.board for each in trial.configs.values()], picture)
             print(f"written to {picture}")
         if len(trials) > 1:
@@ -63,7 +63,7 @@ def evaluate(config: Config, overrides: list[str]) -> None:
         _write(document, Path(config.json))
 
 
-def _evaluate(trial: Trial, episodes: int, doing: str) -> Evaluation:
+def _evaluate(trial: EvaluationTask, episodes: int, doing: str) -> Evaluation:
     """Evaluate with a progress bar that says what it is at."""
     from rich.progress import Progress
 

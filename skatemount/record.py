@@ -35,42 +35,42 @@ def record(config: Config, overrides: list[str]) -> None:
     import numpy as np
     from rich.progress import track
 
-    from skatemount.evaluation.suite_task import Trial
+    from skatemount.evaluation.suite_task import EvaluationTask
     from skatemount.rendering import renderer as rendering
-    from skatemount.rendering.playback import play
+    from skatemount.rendering.playback import replay_episode
     from skatemount.runs import atomic
     from skatemount.utils.errors import ConfigError
 
     if config.suite is not None and config.suite.members:
         raise ConfigError(f"suite={config.suite.name}: name one to film, of {', '.join(config.suite.members)}")
-    (trial,) = Trial.prepare(config, overrides)
-    episode = play(trial, config.episode)
-    moments = episode.moments
+    (trial,) = EvaluationTask.prepare(config, overrides)
+    episode = replay_episode(trial, config.episode)
+    frames = episode.frames
     folder = Path(config.output) if config.output else default_folder(trial.agent.path)
-    name = f"{trial.label}_episode{config.episode}"
+    name = f"{trial.file_stem}_episode{config.episode}"
     film, strip = folder / f"{name}.mp4", folder / f"{name}.png"
 
-    chosen = rendering.choose_moments(moments)
+    chosen = rendering.choose_frames(frames)
     every = math.ceil(1 / episode.control_step / MAX_RATE - 1e-6)
-    painter = rendering.Painter(episode.model, episode.subjects, episode.feet)
+    painter = rendering.EpisodeRenderer(episode.model, episode.subjects, episode.feet)
     pictures = []
     with atomic.replacing(film) as temporary:
         writer = _writer(temporary, 1 / episode.control_step / every, painter.size)
-        steps = range(len(moments))
+        steps = range(len(frames))
         for i in track(steps, "drawing", transient=True, disable=not sys.stdout.isatty()):
             if i % every and i not in chosen:
                 continue
-            picture = painter.draw(moments[i])
+            picture = painter.draw(frames[i])
             if i in chosen:
                 small = picture.resize((picture.width * 2 // 3, picture.height * 2 // 3))
-                pictures.append(rendering.label(small, moments[i]))
+                pictures.append(rendering.draw_overlay(small, frames[i]))
             if not i % every:
-                writer.send(np.asarray(rendering.label(picture, moments[i], scale=1.2)).tobytes())
+                writer.send(np.asarray(rendering.draw_overlay(picture, frames[i], scale=1.2)).tobytes())
         writer.close()
     painter.close()
     with atomic.replacing(strip) as temporary:
         rendering.filmstrip(pictures).save(temporary, format="png", optimize=True)
-    print(f"{trial.agent.name} on {trial.name}, seed {config.seed}, episode {config.episode}: {episode.verdict}")
+    print(f"{trial.agent.name} on {trial.name}, seed {config.seed}, episode {config.episode}: {episode.summary}")
     print(f"written to {film} and {strip}")
 
 

@@ -20,7 +20,7 @@ def train(config: Config, overrides: list[str]) -> None:
     """
     from skatemount.config import stages
     from skatemount.training.chain import chain_to_train
-    from skatemount.training.resume import resumed
+    from skatemount.training.resume import resume_config
     from skatemount.training.trainer import Trainer
     from skatemount.utils.errors import ConfigError
 
@@ -33,7 +33,7 @@ def train(config: Config, overrides: list[str]) -> None:
     if config.resume is None and not config.stage.name:
         listed = "; ".join(f"{name} ({about})" for name, about in stages().items())
         raise ConfigError(f"no stage: add +stage=<name>, or +curriculum=paper for all. There are: {listed}")
-    trainer = Trainer(resumed(config, overrides), overrides)
+    trainer = Trainer(resume_config(config, overrides), overrides)
     print(trainer.describe(), flush=True)
     try:
         result = trainer.train()

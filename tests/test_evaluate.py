@@ -11,7 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
-from skatemount.agents.agent import MODULE, make_card
+from skatemount.agents.trained_policy import MODULE, make_policy_card
 from skatemount.cli import _check_choices
 from skatemount.config import compose
 from skatemount.envs.task import MountTask
@@ -30,7 +30,7 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mdp = task.make_mdp(torch.Generator())
     networks = ActorCritic(config.network, mdp.observation.size, mdp.privileged.size)
     path = tmp_path_factory.mktemp("policies") / "tiny.safetensors"
-    save_policy(path, {MODULE: networks}, make_card(config, task, frames=4242))
+    save_policy(path, {MODULE: networks}, make_policy_card(config, task, frames=4242))
     return path
 
 

@@ -12,15 +12,15 @@ import pytest
 import torch
 from PIL import Image
 
-from skatemount.agents.agent import MODULE, Agent, make_card
+from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
 from skatemount.config import Config, compose, to_dict
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import Evaluator
-from skatemount.evaluation.suite_task import Trial
+from skatemount.evaluation.suite_task import EvaluationTask
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.record import default_folder, record
-from skatemount.rendering.playback import play
+from skatemount.rendering.playback import replay_episode
 from skatemount.runs.checkpoint import save_checkpoint
 from skatemount.runs.folder import RunFolder
 from skatemount.utils.errors import ConfigError
@@ -40,7 +40,7 @@ def checkpoint(runs_root: Path) -> Path:
     config = compose("balance", ["network.actor=[8]", "network.critic=[8]"])
     run = RunFolder.create(runs_root, "tests", "tiny", to_dict(config), [])
     folder = run.checkpoint(500)
-    card = make_card(config, MountTask(config=config), 500)
+    card = make_policy_card(config, MountTask(config=config), 500)
     save_checkpoint(folder, {MODULE: make_networks(config)}, card, {})
     run.mark_checkpoint(folder, None)
     return folder
@@ -63,7 +63,7 @@ def test_makes_a_film_and_a_filmstrip(checkpoint: Path, capsys: pytest.CaptureFi
     assert pictures[0].std() > 20  # something is to be seen
     assert (pictures[0] != pictures[-1]).mean() > 0.01  # and it moves
     with Image.open(strip) as picture:
-        assert picture.size == (3 * 640 + 2 * 8, 2 * 480 + 8)  # of four moments
+        assert picture.size == (3 * 640 + 2 * 8, 2 * 480 + 8)  # of four frames
 
 
 def test_films_go_to_their_run(checkpoint: Path, tmp_path: Path) -> None:
@@ -79,25 +79,25 @@ def test_a_film_is_the_evaluated_episode_exactly(checkpoint: Path) -> None:
     suite = SuiteConfig(
         name="test", stage="balance", overrides=changes, variants={"usual": [], "free": ["start.board_fixed=0"]}
     )
-    trial = Trial.of(Agent.load(str(checkpoint)), suite, ["physics.num_worlds=3", "physics.threads=1"])
+    trial = EvaluationTask.of(TrainedPolicy.load(str(checkpoint)), suite, ["physics.num_worlds=3", "physics.threads=1"])
     evaluated, final = trial.evaluate(14), final_positions(trial, rounds=3)
     ends = evaluated.records.end
     assert (ends == 0).any() and (ends > 0).any()
     early, late = (int(mask.nonzero()[-1]) for mask in (ends > 0, ends == 0))
     for number in (early, late, 1):
-        episode = play(trial, number)
+        episode = replay_episode(trial, number)
         for name, value in vars(evaluated.records[number : number + 1]).items():
             played = getattr(episode.record, name)
             assert torch.equal(played, value) or (played != played).all() and (value != value).all(), name
-        last = episode.moments[-1]
+        last = episode.frames[-1]
         assert last.time == pytest.approx(float(evaluated.records.duration[number]))
         np.testing.assert_array_equal(last.qpos, final[number])
-        assert episode.verdict.startswith("succeeded" if episode.record.success else "failed")
-        assert ("ended after" in episode.verdict) == bool(ends[number])
-    assert len(episode.moments) == round(float(evaluated.records.duration[number]) / 0.04) + 1
+        assert episode.summary.startswith("succeeded" if episode.record.success else "failed")
+        assert ("ended after" in episode.summary) == bool(ends[number])
+    assert len(episode.frames) == round(float(evaluated.records.duration[number]) / 0.04) + 1
 
 
-def final_positions(trial: Trial, rounds: int) -> dict[int, np.ndarray]:
+def final_positions(trial: EvaluationTask, rounds: int) -> dict[int, np.ndarray]:
     """Every episode's last position, as the engine has it when a batch of them is evaluated."""
     final: dict[int, np.ndarray] = {}
 
@@ -105,7 +105,7 @@ def final_positions(trial: Trial, rounds: int) -> dict[int, np.ndarray]:
         for world in range(evaluator.env.num_worlds):
             number = (turn * evaluator.env.num_worlds + world) * len(trial.configs) + variant
             if step and number not in final and evaluator.has_ended(world):
-                final[number] = evaluator.env.physics.world(world)[1].qpos.copy()
+                final[number] = evaluator.env.physics.render_data(world)[1].qpos.copy()
 
     for i, variant in enumerate(trial.configs):
         evaluator = trial.evaluator(variant)

@@ -7,7 +7,7 @@ BATCH = 8 * 4
 
 TINY = [
     "physics.num_worlds=8",
-    "collector.steps=4",
+    "collector.steps_per_env=4",
     "network.actor=[16]",
     "network.critic=[16]",
     "physics.threads=1",

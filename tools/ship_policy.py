@@ -13,10 +13,10 @@ import argparse
 from pathlib import Path
 
 import skatemount
-from skatemount.agents.agent import MODULE, Agent
+from skatemount.agents.trained_policy import MODULE, TrainedPolicy
 from skatemount.evaluation import report
 from skatemount.evaluation.results import Evaluation
-from skatemount.evaluation.suite_task import Trial, expand, load_suite
+from skatemount.evaluation.suite_task import EvaluationTask, load_suite, members_of
 from skatemount.runs.checkpoint import save_policy
 
 LOCAL = ("checkpoint", "stage", "frames", "sha256", "record")
@@ -33,10 +33,10 @@ def main() -> None:
     parser.add_argument("--command", required=True, help="the command that trained it")
     parser.add_argument("--notes", default="", help="anything else that a user should know")
     options = parser.parse_args()
-    agent = Agent.load(options.checkpoint)
+    agent = TrainedPolicy.load(options.checkpoint)
     results: dict[str, Evaluation] = {}
-    for suite in (each for name in options.suites for each in expand(load_suite(name))):
-        result = Trial.of(agent, suite).evaluate(options.episodes)
+    for suite in (each for name in options.suites for each in members_of(load_suite(name))):
+        result = EvaluationTask.of(agent, suite).evaluate(options.episodes)
         result.evaluated = {key: value for key, value in result.evaluated.items() if key not in LOCAL}
         print(suite.name, result.table(), sep="\n", flush=True)
         results[suite.name] = result

@@ -9,16 +9,16 @@ from torch import Tensor
 
 from skatemount.envs.entities.a1_links import LEGS, LINKS
 from skatemount.envs.task import MountTask
-from skatemount.runs.checkpoint import Card
+from skatemount.runs.checkpoint import PolicyCard
 from skatemount.utils.errors import ConfigError
 
 JOINTS = tuple(f"{leg}_{link}" for leg in LEGS for link in LINKS)
 
-Parts = list[dict[str, Any]]
-"""What a policy sees, as `observation_contract` gives it."""
+ObservationLayout = list[dict[str, Any]]
+"""What a policy sees, as `observation_layout` gives it."""
 
 
-def observation_contract(task: MountTask) -> list[dict[str, Any]]:
+def observation_layout(task: MountTask) -> list[dict[str, Any]]:
     """What a policy for a task sees.
 
     Args:
@@ -46,7 +46,7 @@ def observation_contract(task: MountTask) -> list[dict[str, Any]]:
     return parts
 
 
-def action_contract(task: MountTask) -> dict[str, Any]:
+def action_interface(task: MountTask) -> dict[str, Any]:
     """What the actions of a policy for a task mean.
 
     Args:
@@ -66,7 +66,7 @@ def action_contract(task: MountTask) -> dict[str, Any]:
     }
 
 
-def check_contract(card: Card, task: MountTask, where: str = "checkpoint") -> None:
+def check_interface(card: PolicyCard, task: MountTask, where: str = "checkpoint") -> None:
     """Make sure that a policy sees in a task what it was trained to see, and that its actions mean the same.
 
     Args:
@@ -77,7 +77,7 @@ def check_contract(card: Card, task: MountTask, where: str = "checkpoint") -> No
     Raises:
         ConfigError: They differ; the line says in what.
     """
-    theirs, ours = card.observation, observation_contract(task)
+    theirs, ours = card.observation, observation_layout(task)
     for i in range(max(len(theirs), len(ours))):
         a = theirs[i] if i < len(theirs) else None
         b = ours[i] if i < len(ours) else None
@@ -86,9 +86,9 @@ def check_contract(card: Card, task: MountTask, where: str = "checkpoint") -> No
     check_actions(card, task, where)
 
 
-def check_actions(card: Card, task: MountTask, where: str) -> None:
-    """Make sure that a policy's actions mean in a task what they meant in training; see `check_contract`."""
-    action = action_contract(task)
+def check_actions(card: PolicyCard, task: MountTask, where: str) -> None:
+    """Make sure that a policy's actions mean in a task what they meant in training; see `check_interface`."""
+    action = action_interface(task)
     for name, value in action.items():
         if card.action.get(name) != value:
             raise ConfigError(f"{where}: its actions have {name}={card.action.get(name)}, the task's {value}")
@@ -101,7 +101,7 @@ def _part(part: dict[str, Any] | None) -> str:
     return f"{part.get('key')}.{part.get('name')} ({', '.join(extras)})"
 
 
-def columns(given: Parts, card: Card, key: str, where: str, giver: str) -> Tensor:
+def feature_indices(given: ObservationLayout, card: PolicyCard, key: str, where: str, giver: str) -> Tensor:
     """Where the values that a policy saw in its training are in a vector that shows as much or more.
 
     Args:

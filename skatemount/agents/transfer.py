@@ -7,8 +7,14 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from skatemount.agents.agent import MODULE, Agent, load_weights
-from skatemount.agents.interface import Parts, check_actions, check_contract, columns, observation_contract
+from skatemount.agents.interface import (
+    ObservationLayout,
+    check_actions,
+    check_interface,
+    feature_indices,
+    observation_layout,
+)
+from skatemount.agents.trained_policy import MODULE, TrainedPolicy, load_weights
 from skatemount.envs import MountTask
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.models.config import NetworkConfig
@@ -16,14 +22,14 @@ from skatemount.models.normalization import RunningNormalizer
 from skatemount.utils.errors import ConfigError
 
 
-def take_over(networks: ActorCritic, agent: Agent, task: MountTask, may_grow: bool, where: str) -> None:
+def load_pretrained(networks: ActorCritic, agent: TrainedPolicy, task: MountTask, may_expand: bool, where: str) -> None:
     """Put a policy into the networks of a training.
 
     Args:
         networks: Where to.
         agent: The policy.
         task: What is trained.
-        may_grow: The networks may be larger and see more than the policy; see `grow`.
+        may_expand: The networks may be larger and see more than the policy; see `expand`.
         where: What to call the policy in messages.
 
     Raises:
@@ -31,29 +37,29 @@ def take_over(networks: ActorCritic, agent: Agent, task: MountTask, may_grow: bo
     """
     for name in ("activation", "normalize", "symmetric"):
         _check_same(name, networks.config, agent.config.network, where, "")
-    if may_grow:
+    if may_expand:
         agent.to(networks.deviation.high.device)
         check_actions(agent.card, task, where)
-        grow(networks, agent, observation_contract(task), where)
+        expand(networks, agent, observation_layout(task), where)
         return
     try:
-        check_contract(agent.card, task, where)
+        check_interface(agent.card, task, where)
     except ConfigError as error:
         advice = "choose for this run what it was trained with, or another init_from"
         if _sees_all_of_it(agent, task, where):
-            advice += ", or grow=true, which takes it over into a run that sees more"
+            advice += ", or init_from_expand=true, which takes it over into a run that sees more"
         raise ConfigError(f"{error}: {advice}") from error
     for name in ("actor", "critic"):
-        _check_same(name, networks.config, agent.config.network, where, ", or grow=true for a larger one")
+        _check_same(name, networks.config, agent.config.network, where, ", or init_from_expand=true for a larger one")
     load_weights(networks, {MODULE: agent.networks.state_dict()}, where)
 
 
-def _sees_all_of_it(agent: Agent, task: MountTask, where: str) -> bool:
+def _sees_all_of_it(agent: TrainedPolicy, task: MountTask, where: str) -> bool:
     """Whether a task shows all that a policy saw, and its actions mean the same."""
     try:
         check_actions(agent.card, task, where)
         for key in ("observation", "privileged"):
-            columns(observation_contract(task), agent.card, key, where, "this run")
+            feature_indices(observation_layout(task), agent.card, key, where, "this run")
     except ConfigError:
         return False
     return True
@@ -68,7 +74,7 @@ def _check_same(name: str, config: NetworkConfig, old: NetworkConfig, where: str
         )
 
 
-def grow(networks: ActorCritic, agent: Agent, sees: Parts, where: str) -> None:
+def expand(networks: ActorCritic, agent: TrainedPolicy, sees: ObservationLayout, where: str) -> None:
     """Put a policy into networks that are as large or larger, and see as much or more: they do what it did.
 
     What is new in the observation, and what new hidden units say, has weight zero at first. After Chen, Goodfellow and
@@ -86,7 +92,7 @@ def grow(networks: ActorCritic, agent: Agent, sees: Parts, where: str) -> None:
     old = agent.networks
     for name in ("actor", "critic"):
         _check_fits(name, networks.config, old.config, where)
-    seen, hidden = (columns(sees, agent.card, key, where, "this run") for key in ("observation", "privileged"))
+    seen, hidden = (feature_indices(sees, agent.card, key, where, "this run") for key in ("observation", "privileged"))
     size = sum(part["size"] for part in sees if part["key"] == "observation")
     inputs = (seen, torch.cat((seen, hidden + size)))
     symmetric = networks.config.symmetric
@@ -102,7 +108,7 @@ def grow(networks: ActorCritic, agent: Agent, sees: Parts, where: str) -> None:
                 new.bias[leaving] = before.bias
     for normalizer, other, places in zip(networks.normalizers, old.normalizers, inputs):
         assert isinstance(normalizer, RunningNormalizer) and isinstance(other, RunningNormalizer)
-        normalizer.take_over(other, places)
+        normalizer.inherit(other, places)
     networks.deviation.load_state_dict(old.deviation.state_dict())
 
 

@@ -13,6 +13,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from skatemount.config.files import check_stage, config_dir
 from skatemount.config.messages import one_line
 from skatemount.config.schema import Config
+from skatemount.config.versions import rename_override, upgrade
 from skatemount.envs.config.task import TaskConfig
 from skatemount.utils.errors import ConfigError
 
@@ -57,7 +58,7 @@ def compose(stage: str | None = None, overrides: Sequence[str] = ()) -> Config:
     running, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None
     try:
         with hydra.initialize_config_dir(str(config_dir().absolute()), version_base="1.3"):
-            composed = hydra.compose("config", list(overrides))
+            composed = hydra.compose("config", [rename_override(each) for each in overrides])
     except Exception as error:
         raise ConfigError(one_line(error)) from error
     finally:
@@ -77,7 +78,7 @@ def from_dict(values: dict[str, Any]) -> Config:
         ConfigError: It does not fit this version's settings.
     """
     try:
-        return to_object(OmegaConf.merge(OmegaConf.structured(Config), values))
+        return to_object(OmegaConf.merge(OmegaConf.structured(Config), upgrade(values, 1)))
     except ConfigError:
         raise
     except Exception as error:

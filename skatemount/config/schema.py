@@ -42,15 +42,15 @@ class CollectorConfig:
     """How a batch of experience is collected.
 
     Attributes:
-        steps: Control steps a world between two updates.
+        steps_per_env: Control steps a world between two updates.
         random_phase: Let the first episodes start at random phases, so that they do not all end at once.
-        enough: End an episode, as at its time limit, once the robot has stood on the board for so many seconds; null
-            to let it stand. Evaluations always do.
+        max_mounted_time: End an episode, as at its time limit, once the robot has stood on the board for so many
+            seconds; null to let it stand. Evaluations always do.
     """
 
-    steps: int = 24
+    steps_per_env: int = 24
     random_phase: bool = True
-    enough: float | None = None
+    max_mounted_time: float | None = None
 
 
 @dataclass
@@ -102,11 +102,11 @@ class Config(TaskConfig):
     precision: str = "medium"
     torch_threads: int = 0
     init_from: str | None = "stage"
-    grow: bool = False
+    init_from_expand: bool = False
     resume: str | None = None
     checkpoint: str = "latest"
     pipeline: str | None = None
-    handover: float = 1.0
+    switch_distance: float = 1.0
     suite: SuiteConfig | None = None
     episodes: int = 1000
     episode: int = 0
@@ -156,13 +156,14 @@ class Config(TaskConfig):
         for name, most in (("seed", 2**62), ("episode", 2**40), ("torch_threads", 1024)):
             if not 0 <= getattr(self, name) <= most:
                 raise ConfigError(f"{name}={getattr(self, name)} must be 0 or more, and at most {most}")
-        if not self.handover > 0:
-            raise ConfigError(f"handover={self.handover} must be above 0, in metres")
-        if self.collector.steps < 1:
-            raise ConfigError(f"collector.steps={self.collector.steps} must be at least 1")
-        if self.collector.enough is not None and not self.collector.enough >= HOLD:
+        if not self.switch_distance > 0:
+            raise ConfigError(f"switch_distance={self.switch_distance} must be above 0, in metres")
+        if self.collector.steps_per_env < 1:
+            raise ConfigError(f"collector.steps_per_env={self.collector.steps_per_env} must be at least 1")
+        if self.collector.max_mounted_time is not None and not self.collector.max_mounted_time >= HOLD:
             raise ConfigError(
-                f"collector.enough={self.collector.enough} must be null or at least {HOLD:g}, the seconds of "
+                f"collector.max_mounted_time={self.collector.max_mounted_time} must be null or at least {HOLD:g}, "
+                f"the seconds of "
                 "standing that a success takes"
             )
         for name in ("checkpoint_every", "keep_checkpoints", "evaluate_episodes"):
@@ -171,7 +172,7 @@ class Config(TaskConfig):
         for name in ("evaluate_every", "final_episodes"):
             if getattr(self.logger, name) < 0:
                 raise ConfigError(f"logger.{name}={getattr(self.logger, name)} must be 0 (none) or more")
-        batch = self.physics.num_worlds * self.collector.steps
+        batch = self.physics.num_worlds * self.collector.steps_per_env
         if self.algorithm.minibatches > batch:
             raise ConfigError(
                 f"algorithm.minibatches={self.algorithm.minibatches} must be at most the {batch} steps of a batch"

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from skatemount.curriculum.config import CURRICULA, CurriculumConfig
-from skatemount.envs.mdp import Outcome
-from skatemount.envs.starts import Placement
+from skatemount.envs.mdp import StepResult
+from skatemount.envs.starts import StartPoses
 from skatemount.envs.state import EpisodeState
 from skatemount.utils.errors import ConfigError
 
@@ -23,13 +23,13 @@ class Curriculum(Protocol):
     environment is.
     """
 
-    def place(self, n: int, generator: torch.Generator) -> Placement:
-        """Draw ``n`` places to start at; what `Placement.bin` says comes back as the episode's ``bin``.
+    def sample_poses(self, n: int, generator: torch.Generator) -> StartPoses:
+        """Draw ``n`` places to start at; what `StartPoses.bin` says comes back as the episode's ``bin``.
 
         But for the first episodes of a training, which start in the middle: theirs is -1.
         """
 
-    def record(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
+    def observe_step(self, episode: EpisodeState, outcome: StepResult, done: Tensor) -> None:
         """Learn from a step: the episodes ``[N]``, what the step led to, and which of them it ended."""
 
     def update(self) -> None:

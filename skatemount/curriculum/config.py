@@ -50,20 +50,21 @@ class CurriculumConfig:
             up to 90; the board is as symmetric as that.
         headings: Upper edges of the heading's error modulo a half turn, degrees, up to 90.
         heights: Upper edges of the step up to the deck, m; the last bin is always the board's own height.
-        lowest: Lower edge of the first of the heights, m.
-        free_after: Free boards join when this ring is solved on the fixed board at full height, m; null for fixed
+        min_height: Lower edge of the first of the heights, m.
+        free_board_after: Free boards join when this ring is solved on the fixed board at full height, m; null for fixed
             boards alone.
-        steady: An episode counts as a success when its `EpisodeState.steadiness` exceeds this at the time limit;
-            milder than the real success, which exploration noise hides.
-        solved: A bin is solved when this share of its recent episodes succeeded.
-        memory: Recent episodes a bin's estimate is about.
-        least: Episodes a bin needs before it counts as solved.
-        replay: Share of the starts drawn from all open bins alike; the others go where success is neither rare nor
-            sure.
-        own: Share of the starts that are drawn from the stage's own ranges once every bin is open.
-        own_beyond: With them, bins farther out than this are left to them, m; none if null.
-        harvest: Share of the starts in the stage's own ranges that are instead states of earlier episodes in which a
-            robot was stuck: half-mounted more than two seconds after the first contact. With any kind but ``stages``.
+        success_threshold: An episode counts as a success when its `EpisodeState.soft_success` exceeds this at the time
+            limit; milder than the real success, which exploration noise hides.
+        solved_rate: A bin is solved when this share of its recent episodes succeeded.
+        window: Recent episodes a bin's estimate is about.
+        min_episodes: Episodes a bin needs before it counts as solved.
+        replay_fraction: Share of the starts drawn from all open bins alike; the others go where success is neither
+            rare nor sure.
+        stage_range_fraction: Share of the starts that are drawn from the stage's own ranges once every bin is open.
+        stage_range_from: With them, bins farther out than this are left to them, m; none if null.
+        stuck_start_fraction: Share of the starts in the stage's own ranges that are instead states of earlier episodes
+            in which a robot was stuck: half-mounted more than two seconds after the first contact. With any kind but
+            ``stages``.
     """
 
     kind: str = "none"
@@ -74,16 +75,16 @@ class CurriculumConfig:
     bearings: list[float] = field(default_factory=lambda: [30.0, 60.0, 90.0])
     headings: list[float] = field(default_factory=lambda: [20.0, 50.0, 90.0])
     heights: list[float] = field(default_factory=lambda: [0.02, 0.04, 0.065, 0.088])
-    lowest: float = 0.008
-    free_after: float | None = 0.3
-    steady: float = 0.6
-    solved: float = 0.5
-    memory: float = 40.0
-    least: float = 15.0
-    replay: float = 0.3
-    own: float = 0.0
-    own_beyond: float | None = None
-    harvest: float = 0.0
+    min_height: float = 0.008
+    free_board_after: float | None = 0.3
+    success_threshold: float = 0.6
+    solved_rate: float = 0.5
+    window: float = 40.0
+    min_episodes: float = 15.0
+    replay_fraction: float = 0.3
+    stage_range_fraction: float = 0.0
+    stage_range_from: float | None = None
+    stuck_start_fraction: float = 0.0
 
     def validate(self, where: str = "curriculum") -> None:
         """Raise `ConfigError` for settings that cannot be used."""
@@ -99,26 +100,37 @@ class CurriculumConfig:
         for name in ("bearings", "headings"):
             if (edges := getattr(self, name))[-1] > 90:
                 raise ConfigError(f"{where}.{name}={edges} must not exceed 90 degrees: a board has no front")
-        if not 0 < self.lowest < self.heights[0]:
-            raise ConfigError(f"{where}.lowest={self.lowest} must be above 0 and below heights[0]={self.heights[0]}")
-        for name in ("steady", "solved", "replay"):
+        if not 0 < self.min_height < self.heights[0]:
+            raise ConfigError(
+                f"{where}.min_height={self.min_height} must be above 0 and below heights[0]={self.heights[0]}"
+            )
+        for name in ("success_threshold", "solved_rate", "replay_fraction"):
             if not 0 < getattr(self, name) < 1:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be a share between 0 and 1")
-        if not 0 <= self.own <= 1:
-            raise ConfigError(f"{where}.own={self.own} must be a share between 0 and 1")
-        if self.own_beyond is not None and not self.own_beyond >= self.distances[0]:
+        if not 0 <= self.stage_range_fraction <= 1:
             raise ConfigError(
-                f"{where}.own_beyond={self.own_beyond} must be null, or at least distances[0]={self.distances[0]} m: "
+                f"{where}.stage_range_fraction={self.stage_range_fraction} must be a share between 0 and 1"
+            )
+        if self.stage_range_from is not None and not self.stage_range_from >= self.distances[0]:
+            raise ConfigError(
+                f"{where}.stage_range_from={self.stage_range_from} must be null, or at least "
+                f"distances[0]={self.distances[0]} m: "
                 "some bins must be left"
             )
-        if not 0 <= self.harvest < 1:
-            raise ConfigError(f"{where}.harvest={self.harvest} must be a share, 0 or more and below 1")
-        if self.harvest and self.kind == "stages":
-            raise ConfigError(f"{where}.harvest={self.harvest} must be 0 in a chain of stages")
-        if not self.memory > 0:
-            raise ConfigError(f"{where}.memory={self.memory} must be above 0")
-        if not 0 < self.least <= self.memory:
-            raise ConfigError(f"{where}.least={self.least} must be above 0 and at most memory={self.memory}")
+        if not 0 <= self.stuck_start_fraction < 1:
+            raise ConfigError(
+                f"{where}.stuck_start_fraction={self.stuck_start_fraction} must be a share, 0 or more and below 1"
+            )
+        if self.stuck_start_fraction and self.kind == "stages":
+            raise ConfigError(
+                f"{where}.stuck_start_fraction={self.stuck_start_fraction} must be 0 in a chain of stages"
+            )
+        if not self.window > 0:
+            raise ConfigError(f"{where}.window={self.window} must be above 0")
+        if not 0 < self.min_episodes <= self.window:
+            raise ConfigError(
+                f"{where}.min_episodes={self.min_episodes} must be above 0 and at most window={self.window}"
+            )
 
     def _validate_stages(self, where: str) -> None:
         if self.kind == "stages" and not (self.stages and self.name):

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from skatemount.envs import success
 from skatemount.envs.geometry import quat_from_matrix, rotate
-from skatemount.envs.mdp import Outcome
+from skatemount.envs.mdp import StepResult
 from skatemount.envs.mount_env import MountEnv
-from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.physics.base import StartState
 from skatemount.envs.sampling import uniform
 from skatemount.envs.state import EpisodeState, SimState
 
@@ -37,7 +37,7 @@ def half_mounted(sim: SimState, episode: EpisodeState) -> Tensor:
     return (feet > 0) & (feet < 4) & upright & (success.deck_level(sim) > math.cos(MAX_TILT))
 
 
-def as_starts(sim: SimState, deck_height: float) -> WorldStart:
+def to_start_states(sim: SimState, deck_height: float) -> StartState:
     """States as starts: robot and board moved together to where boards start, level and along the x axis.
 
     Args:
@@ -52,7 +52,7 @@ def as_starts(sim: SimState, deck_height: float) -> WorldStart:
     turned = to_board @ sim.base_rot
     position = rotate(to_board, sim.base_pos - sim.board_pos)
     position[:, 2] += deck_height
-    return WorldStart(
+    return StartState(
         base_pos=position,
         base_quat=quat_from_matrix(turned),
         base_lin_vel=rotate(turned, sim.base_lin_vel),
@@ -68,7 +68,7 @@ def as_starts(sim: SimState, deck_height: float) -> WorldStart:
     )
 
 
-class Harvest:
+class StuckStateBuffer:
     """Collects half-mounted states of an environment, and lets a share of its starts be such states.
 
     It is filled anew after a resume, within an iteration or two.
@@ -81,11 +81,11 @@ class Harvest:
 
     def __init__(self, env: MountEnv, share: float, after: float = STUCK_AFTER):
         self._env, self._share, self._after = env, share, after
-        self._kept: WorldStart | None = None
-        env.listeners.append(self.record)
-        env.change_starts(self.mix)
+        self._kept: StartState | None = None
+        env.listeners.append(self.observe_step)
+        env.set_start_transform(self.replace_fraction)
 
-    def record(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
+    def observe_step(self, episode: EpisodeState, outcome: StepResult, done: Tensor) -> None:
         """Keep some of a step's states of stuck robots; a listener of `MountEnv`."""
         env = self._env
         trying = episode.step * env.mdp.context.control_step - episode.first_contact
@@ -94,10 +94,10 @@ class Harvest:
             return
         rows = rows[torch.randperm(len(rows), generator=env.generator, device=rows.device)[:PER_STEP]]
         # Mypy does not see tensorclass's own.
-        new = as_starts(env.sim[rows], env.task.scene.deck_height)  # type: ignore[index]
-        self._kept = new if self._kept is None else WorldStart.cat([self._kept, new])[-SIZE:]
+        new = to_start_states(env.sim[rows], env.task.scene.deck_height)  # type: ignore[index]
+        self._kept = new if self._kept is None else StartState.cat([self._kept, new])[-SIZE:]
 
-    def mix(self, starts: WorldStart, generator: torch.Generator) -> WorldStart:
+    def replace_fraction(self, starts: StartState, generator: torch.Generator) -> StartState:
         """Put kept states in the place of a share of starts that belong to no bin; the wrench on the trunk stays.
 
         Args:
@@ -110,4 +110,4 @@ class Harvest:
         replaced = (uniform((n,), generator) < self._share) & (starts.bin < 0)
         picked = self._kept[torch.randint(len(self._kept), (n,), generator=generator, device=generator.device)]
         picked.force, picked.torque = starts.force, starts.torque
-        return WorldStart.where(replaced, picked, starts)
+        return StartState.where(replaced, picked, starts)

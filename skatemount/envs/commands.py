@@ -12,7 +12,7 @@ from skatemount.envs.sampling import uniform
 from skatemount.envs.state import EpisodeState, SimState
 
 
-def toward_board(sim: SimState, facing: Tensor | None = None) -> Tensor:
+def toward_board(sim: SimState, direction: Tensor | None = None) -> Tensor:
     """Velocity command toward the board, the law of the paper's code.
 
     With p the board's place in the trunk's frame, psi its yaw and theta the bearing of p: within 0.5 m
@@ -20,15 +20,15 @@ def toward_board(sim: SimState, facing: Tensor | None = None) -> Tensor:
 
     Args:
         sim: The state.
-        facing: ``[N, 1]`` which end psi is the yaw of, as in `EpisodeState.facing`; if not given, the end that the
-            board's x axis points to (the paper's code).
+        direction: ``[N, 1]`` which end psi is the yaw of, as in `EpisodeState.board_direction`; if not given, the end
+            that the board's x axis points to (the paper's code).
 
     Returns:
         ``[N, 3]`` forward, left (m/s), turn left (rad/s).
     """
     place, x_axis = sim.board_pos_base, sim.board_rot_base[..., 0]
-    if facing is not None:
-        x_axis = x_axis * facing
+    if direction is not None:
+        x_axis = x_axis * direction
     yaw = torch.atan2(x_axis[:, 1], x_axis[:, 0]) / math.pi
     bearing = torch.atan2(place[:, 1], place[:, 0]) / math.pi
     near = torch.linalg.vector_norm(place[:, :2], dim=-1) < 0.5
@@ -37,7 +37,7 @@ def toward_board(sim: SimState, facing: Tensor | None = None) -> Tensor:
     return torch.where(near.unsqueeze(1), close, far)
 
 
-class Commander:
+class CommandGenerator:
     """Keeps the velocity command of every world.
 
     Args:
@@ -61,7 +61,7 @@ class Commander:
             episode: The episodes; a world whose ``command_steps`` have run out gets a new sampled command.
         """
         if self._config.mode == "board":
-            episode.command = toward_board(sim, episode.facing if self._config.turn_to == "nearer" else None)
+            episode.command = toward_board(sim, episode.board_direction if self._config.turn_to == "nearer" else None)
         elif self._config.mode == "sampled":
             due = episode.command_steps <= 0
             episode.command = torch.where(due.unsqueeze(1), self._draw(len(due)), episode.command)

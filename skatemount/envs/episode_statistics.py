@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs import success
-from skatemount.envs.mdp import Mdp, Outcome
+from skatemount.envs.mdp import Mdp, StepResult
 from skatemount.envs.state import EpisodeState
 
 SUMS = ("episodes", "successes", "length", "feet", "mount_time", "time_outs")
@@ -59,7 +59,7 @@ class EpisodeStatistics:
             self._shares = torch.zeros(len(self._rewards))
             self._end_counts = torch.zeros(len(self._ends))
 
-    def add(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
+    def add(self, episode: EpisodeState, outcome: StepResult, done: Tensor) -> None:
         """Account for a step.
 
         Args:
@@ -67,7 +67,7 @@ class EpisodeStatistics:
             outcome: What it led to.
             done: ``[N]`` bool, episodes that ended.
         """
-        self._returns += outcome.shares
+        self._returns += outcome.reward_terms
         self._feet += episode.on_deck.sum(-1)
         self._steps += 1.0
         counted = done & self._counted
@@ -84,7 +84,7 @@ class EpisodeStatistics:
         )
         self._sums += torch.stack(values).sum(1)
         self._shares += self._returns @ ended
-        self._end_counts += outcome.ends.to(torch.float32) @ ended
+        self._end_counts += outcome.termination_flags.to(torch.float32) @ ended
         self.restart(done)
 
     def pop(self) -> dict[str, float]:

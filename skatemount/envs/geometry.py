@@ -132,7 +132,7 @@ ACROSS = 0.25
 """Sine of how far the trunk must turn beyond square across the board until the board's other end is its front."""
 
 
-def facing(rotation: Tensor, before: Tensor | None = None) -> Tensor:
+def board_direction(rotation: Tensor, before: Tensor | None = None) -> Tensor:
     """Which way round a board is seen by a robot: a board has no front, so the end that the trunk faces is it.
 
     Args:

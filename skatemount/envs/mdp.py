@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from skatemount.envs import success
-from skatemount.envs.commands import Commander
+from skatemount.envs.commands import CommandGenerator
 from skatemount.envs.config.task import TaskConfig
-from skatemount.envs.geometry import facing
+from skatemount.envs.geometry import board_direction
 from skatemount.envs.observations import ObservationTable
 from skatemount.envs.rewards import RewardTable
 from skatemount.envs.scene import Scene
@@ -25,21 +25,21 @@ from skatemount.envs.terms import TaskContext
 
 
 @dataclass
-class Outcome:
+class StepResult:
     """What a control step led to.
 
     Attributes:
         reward: ``[N]``.
-        shares: ``[terms, N]``, every reward term's weighed share.
-        ends: ``[terminations, N]`` bool.
+        reward_terms: ``[terms, N]``, every reward term's weighed share.
+        termination_flags: ``[terminations, N]`` bool.
         terminated: ``[N]`` bool, ended by a termination.
-        truncated: ``[N]`` bool, ended by the time limit alone, or by having stood long enough.
+        truncated: ``[N]`` bool, ended by the time limit alone, or by having stood long max_mounted_time.
         succeeded: ``[N]`` bool, truncated, and achieved what the task asks for.
     """
 
     reward: Tensor
-    shares: Tensor
-    ends: Tensor
+    reward_terms: Tensor
+    termination_flags: Tensor
     terminated: Tensor
     truncated: Tensor
     succeeded: Tensor
@@ -61,7 +61,7 @@ class Mdp:
         privileged: What only the critic sees besides.
         rewards: Reward terms.
         terminations: Termination terms.
-        enough: Seconds of standing on the board after which an episode ends as at its time limit.
+        max_mounted_time: Seconds of standing on the board after which an episode ends as at its time limit.
     """
 
     def __init__(self, config: TaskConfig, scene: Scene, generator: torch.Generator):
@@ -75,10 +75,10 @@ class Mdp:
             self.rewards = RewardTable(config.reward, self.context)
             self.terminations = TerminationTable(config.termination, self.context)
             self._scale = torch.as_tensor(robot.action_scale, dtype=torch.float32)
-        self._commander = Commander(config.command, self.context.control_step, generator)
+        self._command_generator = CommandGenerator(config.command, self.context.control_step, generator)
         self._fade = math.exp(-self.context.control_step / 0.35)
         self.criterion = config.success
-        self.enough = math.inf
+        self.max_mounted_time = math.inf
         self._succeeded = success.ACHIEVED[config.success]
         self._noise = generator if seen.noise else None
         self._clip = robot.config.action_clip
@@ -110,21 +110,21 @@ class Mdp:
         distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
         on_deck = success.feet_on_deck(sim)
         fresh.on_deck = on_deck
-        fresh.facing = facing(sim.board_rot_base)
+        fresh.board_direction = board_direction(sim.board_rot_base)
         fresh.off_time = torch.where(on_deck, 0.0, torch.inf)
         elsewhere = success.feet_elsewhere(sim)
-        fresh.touching, fresh.elsewhere = on_deck | elsewhere, elsewhere.any(1)
+        fresh.touching, fresh.foot_off_deck_contact = on_deck | elsewhere, elsewhere.any(1)
         fresh.distance, fresh.previous_distance = distance, distance.clone()
         fresh.first_contact = torch.where(on_deck.any(1), 0.0, torch.inf)
         relative = sim.board_rot.transpose(-1, -2)
         place = (relative @ (sim.base_pos - sim.board_pos).unsqueeze(-1)).squeeze(-1)
         heading = (relative @ sim.base_rot[..., :1]).squeeze(-1)
         fresh.start = torch.cat((place[:, :2], torch.atan2(heading[:, 1:2], heading[:, :1])), 1)
-        self._commander.update(sim, fresh)
+        self._command_generator.update(sim, fresh)
         fresh.seen = self.observation(sim, fresh, self._noise)
         return fresh
 
-    def advance(self, sim: SimState, episode: EpisodeState, action: Tensor, diverged: Tensor) -> Outcome:
+    def advance(self, sim: SimState, episode: EpisodeState, action: Tensor, diverged: Tensor) -> StepResult:
         """Account for a control step, in place.
 
         Args:
@@ -145,37 +145,39 @@ class Mdp:
         on_deck = success.feet_on_deck(sim)
         elsewhere = success.feet_elsewhere(sim)
         touching = on_deck | elsewhere
-        episode.elsewhere = elsewhere.any(1)
+        episode.foot_off_deck_contact = elsewhere.any(1)
         episode.touchdown = touching & ~episode.touching
         episode.touching = touching
         episode.on_deck = on_deck
-        episode.facing = facing(sim.board_rot_base, episode.facing)
+        episode.board_direction = board_direction(sim.board_rot_base, episode.board_direction)
         episode.off_time = torch.where(on_deck, 0.0, episode.off_time + step)
         velocity = torch.linalg.vector_norm(sim.base_lin_vel[:, :2] - episode.command[:, :2], dim=-1)
         turn = (sim.base_ang_vel[:, 2] - episode.command[:, 2]).abs()
         episode.command_error = episode.command_error + torch.stack((velocity, turn), 1)
-        episode.mounted = success.is_mounted(sim, episode.off_time, episode.elsewhere)
-        near = success.nearly_mounted(sim, episode.elsewhere, self.context.deck_half, self.context.foot_radius)
-        episode.steadiness = torch.lerp(near, episode.steadiness, self._fade)
+        episode.mounted = success.is_mounted(sim, episode.off_time, episode.foot_off_deck_contact)
+        near = success.nearly_mounted(
+            sim, episode.foot_off_deck_contact, self.context.deck_half, self.context.foot_radius
+        )
+        episode.soft_success = torch.lerp(near, episode.soft_success, self._fade)
         episode.mounted_time = torch.where(episode.mounted, episode.mounted_time + step, 0.0)
         elapsed = torch.where(on_deck.any(1), episode.step * step, math.inf)
         episode.first_contact = torch.minimum(episode.first_contact, elapsed)
 
-        ends = torch.cat((self.terminations(sim, episode), diverged.unsqueeze(0)))
-        terminated = ends.any(0)
+        termination_flags = torch.cat((self.terminations(sim, episode), diverged.unsqueeze(0)))
+        terminated = termination_flags.any(0)
         episode.terminated = terminated
-        over = (episode.step >= self.context.episode_steps) | (episode.mounted_time >= self.enough - step / 2)
+        over = (episode.step >= self.context.episode_steps) | (episode.mounted_time >= self.max_mounted_time - step / 2)
         truncated = over & ~terminated
-        shares = self.rewards(sim, episode)
+        reward_terms = self.rewards(sim, episode)
         # What a failed world shows means nothing; one number that is not finite would spoil the whole batch.
-        shares = torch.where(diverged, 0.0, shares)
-        self._commander.update(sim, episode)
+        reward_terms = torch.where(diverged, 0.0, reward_terms)
+        self._command_generator.update(sim, episode)
         episode.seen = self.observation(sim, episode, self._noise, episode.seen)
         succeeded = truncated & self._succeeded(episode, step)
-        return Outcome(shares.sum(0), shares, ends, terminated, truncated, succeeded)
+        return StepResult(reward_terms.sum(0), reward_terms, termination_flags, terminated, truncated, succeeded)
 
     def end_names(self) -> list[str]:
-        """Names of the rows of `Outcome.ends`."""
+        """Names of the rows of `StepResult.termination_flags`."""
         return [*self.terminations.names, "diverged"]
 
     def observe(self, sim: SimState, episode: EpisodeState) -> tuple[Tensor, Tensor]:

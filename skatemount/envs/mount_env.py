@@ -12,16 +12,16 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from skatemount.envs.episode_statistics import EpisodeStatistics
-from skatemount.envs.mdp import Outcome
-from skatemount.envs.physics.base import Physics, WorldStart
+from skatemount.envs.mdp import StepResult
+from skatemount.envs.physics.base import Physics, StartState
 from skatemount.envs.physics.factory import make_physics
 from skatemount.envs.randomization import Pushes, Randomizer
-from skatemount.envs.starts import Change, Place, StartQueue
+from skatemount.envs.starts import StartPoseSampler, StartQueue, StartTransform
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.task import MountTask
 from skatemount.utils.devices import torch_threads
 
-Listener = Callable[[EpisodeState, Outcome, Tensor], None]
+Listener = Callable[[EpisodeState, StepResult, Tensor], None]
 
 MANY_WORLDS = 4096
 """With fewer, it takes longer to wake torch's threads for a step's small operations than they save."""
@@ -45,8 +45,8 @@ class MountEnv(EnvBase):
         threads: Physics threads; the task's setting if none, every core if 0.
         seed: Source of every random number; results do not depend on the number of threads.
         random_phase: Let the first episodes start at random phases, so that they do not all end at once.
-        enough: End an episode, as at its time limit, once the robot has stood on the board for so many seconds; none
-            to let it stand.
+        max_mounted_time: End an episode, as at its time limit, once the robot has stood on the board for so many
+            seconds; none to let it stand.
 
     Attributes:
         task: The task.
@@ -63,7 +63,7 @@ class MountEnv(EnvBase):
         threads: int | None = None,
         seed: int = 0,
         random_phase: bool = False,
-        enough: float | None = None,
+        max_mounted_time: float | None = None,
     ):
         config = task.config.physics
         physics = make_physics(task.scene, config, num_worlds, threads)
@@ -73,12 +73,12 @@ class MountEnv(EnvBase):
         self.physics: Physics = physics
         self.generator = torch.Generator(physics.device)
         self.mdp = task.make_mdp(self.generator)
-        if enough is not None:
-            self.mdp.enough = enough
+        if max_mounted_time is not None:
+            self.mdp.max_mounted_time = max_mounted_time
         self.statistics = EpisodeStatistics(self.mdp, n)
         self.listeners: list[Listener] = [self.statistics.add]
-        self._place: Place | None = None
-        self._change: Change | None = None
+        self._place: StartPoseSampler | None = None
+        self._change: StartTransform | None = None
         self._sim: SimState | None = None
         self._substeps = config.substeps
         self._random_phase = random_phase
@@ -126,7 +126,7 @@ class MountEnv(EnvBase):
         """Begin anew from a seed: randomised physics, queued starts, pushes and noise alike."""
         self.generator.manual_seed(0 if seed is None else int(seed))
         config, n = self.task.config, self.num_worlds
-        self._draw_starts_anew()
+        self._rebuild_start_queue()
         self._pushes = Pushes(config.randomization, n, self.mdp.context.control_step, self.generator)
         physics = self.physics
         self._randomizer = Randomizer(config.randomization, physics.index, physics.model, self.generator)
@@ -168,7 +168,7 @@ class MountEnv(EnvBase):
             rows = mask.nonzero().squeeze(1)
             return rows, self._begin(mask, rows, self._queue.take(len(rows)))
 
-    def _begin(self, mask: Tensor, rows: Tensor, start: WorldStart) -> dict[str, Tensor]:
+    def _begin(self, mask: Tensor, rows: Tensor, start: StartState) -> dict[str, Tensor]:
         with torch.inference_mode():
             self._randomizer.new_episodes(self.physics, rows)
             self.physics.reset(mask, start)
@@ -188,7 +188,7 @@ class MountEnv(EnvBase):
             self._sim = None
             return self._observe(sim, begun)
 
-    def place_starts(self, place: Place) -> None:
+    def set_start_sampler(self, place: StartPoseSampler) -> None:
         """Let a curriculum choose where starts are, from the next start that is drawn on.
 
         Args:
@@ -196,18 +196,18 @@ class MountEnv(EnvBase):
                 changes, as starts are drawn ahead.
         """
         self._place = place
-        self._draw_starts_anew()
+        self._rebuild_start_queue()
 
-    def change_starts(self, change: Change) -> None:
+    def set_start_transform(self, change: StartTransform) -> None:
         """Let something make other starts of those that are drawn, from the next one that is drawn on.
 
         Args:
             change: Takes and returns starts.
         """
         self._change = change
-        self._draw_starts_anew()
+        self._rebuild_start_queue()
 
-    def _draw_starts_anew(self) -> None:
+    def _rebuild_start_queue(self) -> None:
         sampler = self.task.make_sampler(self._place, self.device)
         self._queue = StartQueue(sampler, max(self.num_worlds, 1024), self.generator, self._change)
 
@@ -228,7 +228,7 @@ class MountEnv(EnvBase):
             # Without a device, `EnvBase` would copy all of it once more.
             return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
-    def _advance(self, action: Tensor) -> tuple[Outcome, dict[str, Tensor], Tensor]:
+    def _advance(self, action: Tensor) -> tuple[StepResult, dict[str, Tensor], Tensor]:
         """One control step: what it led to, what is seen then, and the rows of the worlds whose physics failed."""
         if self._pushes.active:
             self.physics.push(*self._pushes.due())

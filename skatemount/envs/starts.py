@@ -13,7 +13,7 @@ from skatemount.envs.config.board import SkateboardConfig
 from skatemount.envs.config.starts import StartConfig, _zero
 from skatemount.envs.geometry import quat_from_euler, quat_to_matrix, rotate
 from skatemount.envs.legs import Legs
-from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.physics.base import StartState
 from skatemount.envs.sampling import either_sign, uniform
 from skatemount.envs.terms import TaskContext
 from skatemount.utils.errors import ConfigError
@@ -23,7 +23,7 @@ _ROUNDS = 40
 
 
 @dataclass
-class Placement:
+class StartPoses:
     """Where starts are.
 
     Attributes:
@@ -32,7 +32,8 @@ class Placement:
         step_height: ``[N]`` deck above the robot's floor, m.
         board_fixed: ``[N]`` bool.
         bin: ``[N]`` int64, the part of a curriculum that a start belongs to, -1 for none.
-        own: ``[N]`` bool, starts that are drawn from the start settings' ranges after all; none of them if not given.
+        from_stage_ranges: ``[N]`` bool, starts that are drawn from the start settings' ranges after all; none of them
+            if not given.
     """
 
     xy: Tensor
@@ -40,11 +41,11 @@ class Placement:
     step_height: Tensor
     board_fixed: Tensor
     bin: Tensor
-    own: Tensor | None = None
+    from_stage_ranges: Tensor | None = None
 
 
-Place = Callable[[int, torch.Generator], Placement]
-Change = Callable[[WorldStart, torch.Generator], WorldStart]
+StartPoseSampler = Callable[[int, torch.Generator], StartPoses]
+StartTransform = Callable[[StartState, torch.Generator], StartState]
 
 
 class StartSampler:
@@ -72,7 +73,7 @@ class StartSampler:
         legs: Legs,
         context: TaskContext,
         board: SkateboardConfig,
-        place: Place | None = None,
+        place: StartPoseSampler | None = None,
     ):
         config.validate()
         if config.step_height is not None and not 0 <= config.step_height[0] <= config.step_height[1] <= (
@@ -93,7 +94,7 @@ class StartSampler:
         self._board = torch.maximum(self._deck, torch.tensor(wheels))
         self._nominal_feet = legs.feet(context.default_pose)
 
-    def draw(self, count: int, generator: torch.Generator) -> WorldStart:
+    def draw(self, count: int, generator: torch.Generator) -> StartState:
         """Draw valid starts.
 
         Args:
@@ -106,14 +107,14 @@ class StartSampler:
         Raises:
             ConfigError: Hardly any candidate within the ranges is valid.
         """
-        parts: list[WorldStart] = []
+        parts: list[StartState] = []
         have = 0
         for _ in range(_ROUNDS):
             candidates, valid = self._candidates(count, generator)
             parts.append(candidates[valid])
             have += len(parts[-1])
             if have >= count:
-                return WorldStart.cat(parts)[:count]
+                return StartState.cat(parts)[:count]
         c = self.config
         where = f"start.x={c.x}, start.y={c.y}" if c.distance is None else f"start.distance={c.distance}"
         where += f", start.yaw={c.yaw}"
@@ -124,7 +125,7 @@ class StartSampler:
             f"{c.edge_margin} m off the deck's edge (start.edge_margin) and legs out of board and ground; widen them"
         )
 
-    def _within_ranges(self, n: int, generator: torch.Generator) -> Placement:
+    def _within_ranges(self, n: int, generator: torch.Generator) -> StartPoses:
         c, deck = self.config, self._context.deck_height
         if c.distance is not None:
             bearing = uniform((n,), generator, (0.0, 2 * math.pi))
@@ -135,7 +136,7 @@ class StartSampler:
             if c.both_sides:
                 xy[:, 1] *= either_sign(n, generator)
         step = xy.new_full((n,), deck) if c.step_height is None else uniform((n,), generator, c.step_height)
-        return Placement(
+        return StartPoses(
             xy=xy,
             yaw=uniform((n,), generator, c.yaw),
             step_height=step,
@@ -143,11 +144,11 @@ class StartSampler:
             bin=torch.full((n,), -1, device=xy.device),
         )
 
-    def _candidates(self, n: int, generator: torch.Generator) -> tuple[WorldStart, Tensor]:
+    def _candidates(self, n: int, generator: torch.Generator) -> tuple[StartState, Tensor]:
         c, context = self.config, self._context
         place = self._within_ranges(n, generator) if self._place is None else self._place(n, generator)
-        if place.own is not None:
-            place = _either(place.own, self._within_ranges(n, generator), place)
+        if place.from_stage_ranges is not None:
+            place = _either(place.from_stage_ranges, self._within_ranges(n, generator), place)
         xy, yaw, ground = place.xy, place.yaw, context.deck_height - place.step_height
 
         def draw(bounds: list[float], *shape: int) -> Tensor:
@@ -177,7 +178,7 @@ class StartSampler:
 
         free = ~self._inside(world[:, :, :-1], ground).any((1, 2))
         valid = free & ~self._near_edge(world[:, :, -1, :2]).any(1)
-        start = WorldStart(
+        start = StartState(
             base_pos=offset,
             base_quat=quat,
             base_lin_vel=draw(c.lin_vel, 3),
@@ -217,9 +218,9 @@ class StartSampler:
         return points[..., 2] < support + _CAPSULE_RADIUS
 
 
-def _either(first: Tensor, one: Placement, other: Placement) -> Placement:
+def _either(first: Tensor, one: StartPoses, other: StartPoses) -> StartPoses:
     """Rows of the one where ``first`` says so, of the other elsewhere."""
-    return Placement(
+    return StartPoses(
         xy=torch.where(first.unsqueeze(1), one.xy, other.xy),
         yaw=torch.where(first, one.yaw, other.yaw),
         step_height=torch.where(first, one.step_height, other.step_height),
@@ -241,15 +242,17 @@ class StartQueue:
         change: Makes other starts of those that were drawn.
     """
 
-    def __init__(self, sampler: StartSampler, size: int, generator: torch.Generator, change: Change | None = None):
+    def __init__(
+        self, sampler: StartSampler, size: int, generator: torch.Generator, change: StartTransform | None = None
+    ):
         self._sampler = sampler
         self._size = size
         self._generator = generator
         self._change = change
-        self._starts: WorldStart | None = None
+        self._starts: StartState | None = None
         self._next = 0
 
-    def take(self, count: int) -> WorldStart:
+    def take(self, count: int) -> StartState:
         """The next starts.
 
         Args:
@@ -260,7 +263,7 @@ class StartQueue:
             if self._change is not None:
                 more = self._change(more, self._generator)
             # What is left is taken first: no start is skipped, whichever worlds ask for how many.
-            self._starts = more if self._starts is None else WorldStart.cat([self._starts[self._next :], more])
+            self._starts = more if self._starts is None else StartState.cat([self._starts[self._next :], more])
             self._next = 0
         taken = slice(self._next, self._next + count)
         self._next += count

@@ -152,10 +152,10 @@ class EpisodeState:
             rate (rad/s).
         on_deck: ``[N, 4]`` bool, foot presses on the deck now.
         off_time: ``[N, 4]`` seconds since the foot last pressed on the deck.
-        elsewhere: ``[N]`` bool, a foot presses on anything that is not the deck now.
+        foot_off_deck_contact: ``[N]`` bool, a foot presses on anything that is not the deck now.
         touchdown: ``[N, 4]`` bool, the foot began to touch anything in this step.
         touching: ``[N, 4]`` bool, the foot touches anything now.
-        steadiness: ``[N]`` share of the feet over the deck and close to it, none elsewhere, upright, averaged over
+        soft_success: ``[N]`` share of the feet over the deck and close to it, none elsewhere, upright, averaged over
             about the last third of a second: a success that exploration noise does not hide.
         mounted: ``[N]`` bool, the robot stands on the board (see `skatemount.envs.success`).
         mounted_time: ``[N]`` seconds that it has stood there without a break.
@@ -165,8 +165,8 @@ class EpisodeState:
         terminated: ``[N]`` bool, a termination ended the episode in this step.
         bin: ``[N]`` int64, the part of a curriculum that the start came from, -1 for none.
         start: ``[N, 3]`` x, y and yaw of the trunk in the board's frame at the start, m and rad.
-        facing: ``[N, 1]``, 1 or -1: whether the board's x axis points to the end that the trunk faces; see
-            `skatemount.envs.geometry.facing`.
+        board_direction: ``[N, 1]``, 1 or -1: whether the board's x axis points to the end that the trunk faces; see
+            `skatemount.envs.geometry.board_direction`.
         seen: ``[N, O]`` what the policy sees now: the last frames of what it remembers included.
     """
 
@@ -177,11 +177,11 @@ class EpisodeState:
     command_steps: Tensor
     command_error: Tensor
     on_deck: Tensor
-    elsewhere: Tensor
+    foot_off_deck_contact: Tensor
     off_time: Tensor
     touchdown: Tensor
     touching: Tensor
-    steadiness: Tensor
+    soft_success: Tensor
     mounted: Tensor
     mounted_time: Tensor
     first_contact: Tensor
@@ -190,7 +190,7 @@ class EpisodeState:
     terminated: Tensor
     bin: Tensor
     start: Tensor
-    facing: Tensor
+    board_direction: Tensor
     seen: Tensor
 
     @classmethod
@@ -212,11 +212,11 @@ class EpisodeState:
             command_steps=f(n, dtype=torch.int64),
             command_error=f(n, 2),
             on_deck=f(n, 4, dtype=torch.bool),
-            elsewhere=f(n, dtype=torch.bool),
+            foot_off_deck_contact=f(n, dtype=torch.bool),
             off_time=full((n, 4), torch.inf),
             touchdown=f(n, 4, dtype=torch.bool),
             touching=f(n, 4, dtype=torch.bool),
-            steadiness=f(n),
+            soft_success=f(n),
             mounted=f(n, dtype=torch.bool),
             mounted_time=f(n),
             first_contact=full((n,), torch.inf),
@@ -225,7 +225,7 @@ class EpisodeState:
             terminated=f(n, dtype=torch.bool),
             bin=full((n,), -1),
             start=f(n, 3),
-            facing=full((n, 1), 1.0),
+            board_direction=full((n, 1), 1.0),
             seen=f(n, observed),
             batch_size=[n],
         )

@@ -16,11 +16,11 @@ from torch import Tensor
 
 from skatemount.envs.config.task import TaskConfig
 from skatemount.envs.legs import Legs
-from skatemount.envs.mdp import Mdp, Outcome
-from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.mdp import Mdp, StepResult
+from skatemount.envs.physics.base import StartState
 from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.scene import Scene, SceneIndex
-from skatemount.envs.starts import Place, StartSampler
+from skatemount.envs.starts import StartPoseSampler, StartSampler
 from skatemount.envs.state import EpisodeState, SimState, StateReader
 from skatemount.envs.terms import TaskContext
 
@@ -56,7 +56,7 @@ class MountTask(composer.Task):
         self._mdp = self.make_mdp(self._generator)
         self._sampler = self.make_sampler()
         self._episode = EpisodeState.zeros(1, self._mdp.observation.size)
-        self._outcome: Outcome | None = None
+        self._outcome: StepResult | None = None
         self._sim: SimState | None = None
         self._pushes: Pushes | None = None
         self.set_timesteps(self.scene.solver.control_step, self.scene.solver.timestep)
@@ -71,7 +71,7 @@ class MountTask(composer.Task):
         """The task's mathematics with a source of randomness of its own."""
         return Mdp(self.config, self.scene, generator)
 
-    def make_sampler(self, place: Place | None = None, device: torch.device | None = None) -> StartSampler:
+    def make_sampler(self, place: StartPoseSampler | None = None, device: torch.device | None = None) -> StartSampler:
         """The source of start states.
 
         Args:
@@ -99,12 +99,12 @@ class MountTask(composer.Task):
         return self._episode
 
     @property
-    def outcome(self) -> Outcome | None:
+    def outcome(self) -> StepResult | None:
         """What the last step led to, a batch of one; none before the first step of an episode."""
         return self._outcome
 
     @property
-    def _last(self) -> Outcome:
+    def _last(self) -> StepResult:
         assert self._outcome is not None, "no step was made since the episode began"
         return self._outcome
 
@@ -129,7 +129,7 @@ class MountTask(composer.Task):
         self._pushes = Pushes(self.config.randomization, 1, self._mdp.context.control_step, self._generator)
         self.start(physics, self._sampler.draw(1, self._generator))
 
-    def start(self, physics: Any, start: WorldStart) -> None:
+    def start(self, physics: Any, start: StartState) -> None:
         """Put the world into a start state and begin an episode there.
 
         Args:

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from skatemount.agents.pipeline import Policy, Relay
+from skatemount.agents.switching import Policy, SwitchingPolicy
 from skatemount.config import Config
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.task import MountTask
@@ -123,7 +123,7 @@ class Evaluator:
         with deterministic():
             env.set_seed(mix_seeds(self.seed, number))
             seen = env.reset()
-            actor = policy.actor_in(env) if isinstance(policy, Relay) else policy.actor
+            actor = policy.actor_in(env) if isinstance(policy, SwitchingPolicy) else policy.actor
             recorder.begin()
             watch(0)
             for step in range(1, env.mdp.context.episode_steps + 1):

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs import success
-from skatemount.envs.mdp import Outcome
+from skatemount.envs.mdp import StepResult
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.state import EpisodeState, SimState
 
@@ -122,7 +122,7 @@ class Recorder:
         """Whether a world's episode has ended."""
         return bool(self._end[world] >= 0)
 
-    def add(self, episode: EpisodeState, outcome: Outcome, done: Tensor) -> None:
+    def add(self, episode: EpisodeState, outcome: StepResult, done: Tensor) -> None:
         """Account for a step; a listener of `MountEnv`.
 
         Args:
@@ -134,7 +134,7 @@ class Recorder:
         self._steps += 1
         running = self._end < 0
         # The last row is that of worlds whose physics failed: what they show means nothing.
-        sound = running & ~outcome.ends[-1]
+        sound = running & ~outcome.termination_flags[-1]
         slides = sliding(sim, episode.on_deck)
         onsets = (slides & ~self._sliding).sum(-1)
         self._sliding = slides
@@ -145,7 +145,7 @@ class Recorder:
         if self._steps > self._first_counted:
             self._feet = self._feet + episode.on_deck.sum(-1)
         new = done & running
-        early = outcome.ends.to(torch.int8).argmax(0) + 1
+        early = outcome.termination_flags.to(torch.int8).argmax(0) + 1
         self._end = torch.where(new, torch.where(outcome.terminated, early, 0), self._end)
         self._duration = torch.where(new, episode.step * self._step, self._duration)
         self._success = torch.where(new, outcome.succeeded, self._success)

@@ -13,9 +13,9 @@ import torch
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from skatemount import config as configuration
-from skatemount.agents.agent import Agent
-from skatemount.agents.interface import check_contract
-from skatemount.agents.pipeline import PipelineAgent
+from skatemount.agents.interface import check_interface
+from skatemount.agents.switching import SwitchingAgent
+from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import Config
 from skatemount.config.suite import SuiteConfig
 from skatemount.evaluation.evaluator import EVALUATION_SEED, NUM_WORLDS, Evaluator, mix_seeds
@@ -23,7 +23,17 @@ from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.results import Evaluation
 from skatemount.utils.errors import ConfigError
 
-NOT_THE_TASKS = ("checkpoint", "pipeline", "handover", "suite", "episodes", "episode", "json", "output", "seed")
+NOT_OF_THE_TASK = (
+    "checkpoint",
+    "pipeline",
+    "switch_distance",
+    "suite",
+    "episodes",
+    "episode",
+    "json",
+    "output",
+    "seed",
+)
 """Settings of the verbs themselves."""
 
 _MACHINE = ("engine", "device", "threads", "max_contacts", "max_constraints")
@@ -31,7 +41,7 @@ _MACHINE = ("engine", "device", "threads", "max_contacts", "max_constraints")
 
 
 @dataclass
-class Trial:
+class EvaluationTask:
     """A policy and the test to put it to.
 
     Attributes:
@@ -43,7 +53,7 @@ class Trial:
         seed: The user's.
     """
 
-    agent: Agent
+    agent: TrainedPolicy
     name: str
     suite: SuiteConfig | None
     configs: dict[str, Config]
@@ -51,13 +61,13 @@ class Trial:
     seed: int
 
     @classmethod
-    def prepare(cls, config: Config, overrides: Sequence[str]) -> list[Trial]:
+    def prepare(cls, config: Config, overrides: Sequence[str]) -> list[EvaluationTask]:
         """Load the policy that the command line names, and work out its tasks.
 
         Args:
-            config: As composed from the command line; its ``checkpoint``, or ``pipeline`` and ``handover``, ``suite``,
-                ``seed`` and ``logger.root`` count.
-            overrides: What the user asked for; see `trial_config`.
+            config: As composed from the command line; its ``checkpoint``, or ``pipeline`` and ``switch_distance``,
+                ``suite``, ``seed`` and ``logger.root`` count.
+            overrides: What the user asked for; see `evaluation_config`.
 
         Returns:
             One trial for each suite.
@@ -66,27 +76,27 @@ class Trial:
             ConfigError: No such policy, suite or setting.
         """
         if config.pipeline is None:
-            agent = Agent.load(config.checkpoint, config.logger.root)
+            agent = TrainedPolicy.load(config.checkpoint, config.logger.root)
         else:
-            agent = PipelineAgent.load_pair(config.pipeline, config.handover, config.logger.root)
-        asked = [o for o in overrides if _key(o).split(".")[0] not in NOT_THE_TASKS]
-        suites = [config.suite] if config.suite is None else expand(config.suite)
+            agent = SwitchingAgent.load_pair(config.pipeline, config.switch_distance, config.logger.root)
+        asked = [o for o in overrides if _key(o).split(".")[0] not in NOT_OF_THE_TASK]
+        suites = [config.suite] if config.suite is None else members_of(config.suite)
         return [cls.of(agent, suite, asked, config.seed) for suite in suites]
 
     @classmethod
     def of(
         cls,
-        agent: Agent,
+        agent: TrainedPolicy,
         suite: SuiteConfig | None,
         overrides: Sequence[str] = (),
         seed: int = 0,
-    ) -> Trial:
+    ) -> EvaluationTask:
         """Work out the tasks of one suite.
 
         Args:
             agent: The policy.
             suite: A suite with a stage; none for the policy's own task.
-            overrides: What the user changes in the task; see `trial_config`.
+            overrides: What the user changes in the task; see `evaluation_config`.
             seed: The user's.
 
         Raises:
@@ -94,13 +104,14 @@ class Trial:
         """
         variants = suite.variants if suite is not None and suite.variants else {"": []}
         configs = {
-            name: trial_config(agent.config, suite, overrides, variant=changes) for name, changes in variants.items()
+            name: evaluation_config(agent.config, suite, overrides, variant=changes)
+            for name, changes in variants.items()
         }
         name = suite.name if suite is not None else agent.card.stage or "its own task"
         return cls(agent, name, suite, configs, list(overrides), seed)
 
     @property
-    def label(self) -> str:
+    def file_stem(self) -> str:
         """What files about it are called."""
         return f"{self.agent.name.replace('/', '_')}_{self.name}_seed{self.seed}"
 
@@ -133,7 +144,7 @@ class Trial:
         seed = mix_seeds(EVALUATION_SEED + self.seed, suite_seed, list(self.configs).index(variant))
         evaluator = Evaluator(config, config.physics.num_worlds, seed)
         try:
-            check_contract(self.agent.card, evaluator.env.task, self.agent.settings[0])
+            check_interface(self.agent.card, evaluator.env.task, self.agent.settings[0])
         except ConfigError:
             evaluator.close()
             raise
@@ -215,7 +226,7 @@ def load_suite(name: str) -> SuiteConfig:
     return found
 
 
-def expand(suite_config: SuiteConfig) -> list[SuiteConfig]:
+def members_of(suite_config: SuiteConfig) -> list[SuiteConfig]:
     """The suite itself, or the suites that it is made of.
 
     Raises:
@@ -230,7 +241,7 @@ def expand(suite_config: SuiteConfig) -> list[SuiteConfig]:
     return members
 
 
-def trial_config(
+def evaluation_config(
     policy: Config, suite: SuiteConfig | None, overrides: Sequence[str] = (), variant: Sequence[str] = ()
 ) -> Config:
     """The configuration that a policy is tried in.

@@ -61,18 +61,18 @@ class PPO:
         self._actor, self._critic = networks.learners()
         self.loss = ClipPPOLoss(
             *networks.learners(config.compile),
-            clip_epsilon=config.clip,
+            clip_epsilon=config.clip_epsilon,
             entropy_bonus=config.entropy_coeff > 0,
             entropy_coeff=config.entropy_coeff,
-            critic_coeff=config.value_coeff,
+            critic_coeff=config.critic_coeff,
             loss_critic_type="l2",
-            clip_value=config.clip if config.clip_value else None,
+            clip_value=config.clip_epsilon if config.clip_value else None,
             normalize_advantage=False,
             log_explained_variance=False,
             # The networks are trained in place, so that what collects always has the newest weights.
             functional=False,
         )
-        gamma, lmbda = math.exp(-control_step / config.horizon), math.exp(-control_step / config.trace)
+        gamma, lmbda = math.exp(-control_step / config.discount_horizon), math.exp(-control_step / config.gae_horizon)
         self._gae = GAE(gamma=gamma, lmbda=lmbda, value_network=None)
         self._parameters = [p for p in networks.parameters() if p.requires_grad]
         self.optimizer = torch.optim.Adam(self._parameters, lr=config.learning_rate, fused=True)
@@ -90,7 +90,7 @@ class PPO:
         """The present learning rate."""
         return float(self.optimizer.param_groups[0]["lr"])
 
-    def start_gently(self) -> None:
+    def use_min_learning_rate(self) -> None:
         """Begin at the lowest learning rate, if it follows the KL: for a policy that can already do something.
 
         Adam's first steps are of full size whatever the gradient, and a trained policy with its small deviation
@@ -100,7 +100,7 @@ class PPO:
             for group in self.optimizer.param_groups:
                 group["lr"] = self.config.min_learning_rate
 
-    def calm_down(self, frames: int, total_frames: int) -> None:
+    def step_schedules(self, frames: int, total_frames: int) -> None:
         """Narrow exploration, and make the steps smaller, as the settings say for this moment.
 
         Exploring finds the step up, and hides whether the robot can stand there.
@@ -113,9 +113,9 @@ class PPO:
         if c.final_std is not None:
             first = self.networks.config.max_std
             self.networks.limit_std(_fallen(first, c.final_std, frames / c.std_frames))
-        if c.final_kl is not None and c.target_kl is not None and self._schedule is not None:
-            share = 1 - (total_frames - frames) / (c.settle * total_frames)
-            self._schedule.target_kl = _fallen(c.target_kl, c.final_kl, share)
+        if c.final_target_kl is not None and c.target_kl is not None and self._schedule is not None:
+            share = 1 - (total_frames - frames) / (c.kl_anneal_fraction * total_frames)
+            self._schedule.target_kl = _fallen(c.target_kl, c.final_target_kl, share)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Learn from a batch.

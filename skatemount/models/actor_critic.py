@@ -16,7 +16,7 @@ from skatemount.models.activations import ELU
 from skatemount.models.config import NetworkConfig
 from skatemount.models.distributions import BoundedNormalScale
 from skatemount.models.normalization import RunningNormalizer
-from skatemount.models.symmetry import Mirror, SymmetricMLP
+from skatemount.models.symmetry import EquivariantMLP, Mirror
 
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": ELU, "relu": nn.ReLU, "tanh": nn.Tanh, "silu": nn.SiLU}
 
@@ -44,16 +44,16 @@ class Join(nn.Module):
         return self.network(torch.cat(parts, -1))
 
 
-class FromCoordinates(nn.Module):
-    """A symmetric network that is given what its `SymmetricMLP.coordinates` returns."""
+class FromEvenOdd(nn.Module):
+    """A symmetric network that is given what its `EquivariantMLP.coordinates` returns."""
 
-    def __init__(self, network: SymmetricMLP):
+    def __init__(self, network: EquivariantMLP):
         super().__init__()
         self.network = network
 
     def forward(self, coordinates: Tensor) -> Tensor:
         """``[..., inputs]`` to ``[..., outputs]``."""
-        return self.network.from_coordinates(coordinates)
+        return self.network.forward_even_odd(coordinates)
 
 
 class ActorCritic(nn.Module):
@@ -98,7 +98,7 @@ class ActorCritic(nn.Module):
         def network(which: int, cells: list[int], after: Mirror) -> nn.Sequential:
             activation = _ACTIVATIONS[config.activation]
             if config.symmetric:
-                return SymmetricMLP(images[which], after, cells, activation)
+                return EquivariantMLP(images[which], after, cells, activation)
             return MLP(sizes[which], len(after.signs), num_cells=cells, activation_class=activation)
 
         means = network(0, list(config.actor), acts)
@@ -120,7 +120,7 @@ class ActorCritic(nn.Module):
         Args:
             compiled: By ``torch.compile``.
         """
-        layers: list[Any] = [FromCoordinates(n) if isinstance(n, SymmetricMLP) else n for n in self._networks]
+        layers: list[Any] = [FromEvenOdd(n) if isinstance(n, EquivariantMLP) else n for n in self._networks]
         if compiled:
             layers = [torch.compile(each) for each in layers]
         means, values = layers
@@ -140,7 +140,7 @@ class ActorCritic(nn.Module):
             values = torch.cat([batch[key] for key in keys], -1)
             if self.normalizers:
                 values = self.normalizers[which](values)
-            prepared[name] = network.coordinates(values) if isinstance(network, SymmetricMLP) else values
+            prepared[name] = network.coordinates(values) if isinstance(network, EquivariantMLP) else values
         return prepared
 
     @property
@@ -159,8 +159,8 @@ class ActorCritic(nn.Module):
             assert isinstance(normalizer, RunningNormalizer) and isinstance(image, Mirror | None)
             normalizer.observe(torch.cat([batch[key] for key in keys], -1), image)
 
-    def forget(self) -> None:
+    def reset_statistics(self) -> None:
         """Let the next batch that is observed replace the normalisers' statistics."""
         for normalizer in self.normalizers:
             assert isinstance(normalizer, RunningNormalizer)
-            normalizer.forget()
+            normalizer.reset_statistics()

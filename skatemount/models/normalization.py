@@ -21,7 +21,7 @@ class RunningNormalizer(nn.Module):
         mean: ``[size]``.
         var: ``[size]``.
         count: How many of each value it has seen.
-        behind: ``[size]``, how many fewer it has seen of a value that came later, with `take_over`. It matters in
+        behind: ``[size]``, how many fewer it has seen of a value that came later, with `inherit`. It matters in
             training only, and is not saved with the network.
     """
 
@@ -63,7 +63,7 @@ class RunningNormalizer(nn.Module):
         self.mean.add_(shift * share)
 
     @torch.no_grad()
-    def take_over(self, other: RunningNormalizer, places: Tensor) -> None:
+    def inherit(self, other: RunningNormalizer, places: Tensor) -> None:
         """Continue another one's statistics, as those of the values at the given places, ``[other's size]``.
 
         All other values begin with what is observed next: the other one's count would hold them where they are.
@@ -73,7 +73,7 @@ class RunningNormalizer(nn.Module):
         self.behind.copy_(other.count.expand_as(self.behind))
         self.behind[places] = other.behind
 
-    def forget(self) -> None:
+    def reset_statistics(self) -> None:
         """Let what is observed next replace what was observed so far, instead of adding to it."""
         self.count.zero_()
         self.behind.zero_()

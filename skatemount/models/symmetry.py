@@ -125,7 +125,7 @@ class Mirror(nn.Module):
         return (values + self(values)) / 2
 
 
-class SymmetricLinear(nn.Linear):
+class EquivariantLinear(nn.Linear):
     """A linear layer for which the image of the input gives the image of the output.
 
     Its weight is the mean of a free one and that one's image (Ravanbakhsh, Schneider and Poczos, "Equivariance
@@ -166,7 +166,7 @@ class SymmetricLinear(nn.Linear):
         return functional.linear(even, to_even, self.bias.view(2, -1).mean(0)), functional.linear(odd, to_odd)
 
 
-class SymmetricMLP(nn.Sequential):
+class EquivariantMLP(nn.Sequential):
     """A network for which the image of the input gives the image of the output.
 
     The image of even parts is even, that of odd ones odd, so a symmetric layer mixes them nowhere; only activations do.
@@ -182,21 +182,21 @@ class SymmetricMLP(nn.Sequential):
         images = [before, *map(Mirror.halves, cells), after]
         layers: list[nn.Module] = []
         for first, second in pairwise(images):
-            layers += [SymmetricLinear(first.copy(), second.copy()), activation()]
+            layers += [EquivariantLinear(first.copy(), second.copy()), activation()]
         super().__init__(*layers[:-1])
 
     def forward(self, input: Tensor) -> Tensor:
         """``[..., inputs]`` to ``[..., outputs]``."""
-        return self.from_coordinates(self.coordinates(input))
+        return self.forward_even_odd(self.coordinates(input))
 
     def coordinates(self, input: Tensor) -> Tensor:
         """What the layers see of the input: the same each time, however they have changed."""
         return self._layers()[0].before.coordinates(input)
 
-    def from_coordinates(self, input: Tensor) -> Tensor:
+    def forward_even_odd(self, input: Tensor) -> Tensor:
         """What `forward` returns, from what `coordinates` does."""
         layers = self._layers()
-        activations = [module for module in self if not isinstance(module, SymmetricLinear)]
+        activations = [module for module in self if not isinstance(module, EquivariantLinear)]
         evens = layers[0].before.evens
         even, odd = input[..., :evens], input[..., evens:]
         for layer, activation in zip(layers, activations):
@@ -206,5 +206,5 @@ class SymmetricMLP(nn.Sequential):
         last: Tensor = layers[-1](torch.cat((units, images), -1))
         return last
 
-    def _layers(self) -> list[SymmetricLinear]:
-        return [module for module in self if isinstance(module, SymmetricLinear)]
+    def _layers(self) -> list[EquivariantLinear]:
+        return [module for module in self if isinstance(module, EquivariantLinear)]

@@ -19,8 +19,8 @@ import torch
 
 from skatemount.config import Config
 from skatemount.envs.physics.cpu import available_cores
-from skatemount.profiling.stopwatch import COLLECTING, LEARNING, watch
-from skatemount.profiling.workload import Workload
+from skatemount.profiling.stopwatch import COLLECTING, LEARNING, profile_trainer
+from skatemount.profiling.workload import BenchWorkload
 from skatemount.runs.provenance import package_versions
 from skatemount.training.trainer import Trainer
 from skatemount.utils.devices import choose_device
@@ -155,7 +155,7 @@ def measure_point(config: Config, profile: bool = False) -> Point:
     with tempfile.TemporaryDirectory() as folder:
         config.logger.root = folder
         before = memory_taken(device)
-        workload = Workload(Trainer(config))
+        workload = BenchWorkload(Trainer(config))
         try:
             after = memory_taken(device)
             # All rounds count: a shared machine has fast moments, and the best of each would compare one with another.
@@ -173,9 +173,9 @@ def measure_point(config: Config, profile: bool = False) -> Point:
     return Point(physics.num_worlds, physics.threads, rates, memory, shares)
 
 
-def profiled(workload: Workload, seconds: float) -> dict[str, float]:
+def profiled(workload: BenchWorkload, seconds: float) -> dict[str, float]:
     """Shares of a training's time, by the parts of `watch` and what is left of collecting and of learning."""
-    with watch(workload.trainer) as stopwatch:
+    with profile_trainer(workload.trainer) as stopwatch:
         timed = workload.training(seconds)
     spent = stopwatch.spent
     collect, learn, whole = (timed[name][1] for name in ("collect", "learn", "train"))

@@ -74,7 +74,7 @@ class _Timed:
 
 
 @contextmanager
-def watch(trainer: Trainer) -> Iterator[Stopwatch]:
+def profile_trainer(trainer: Trainer) -> Iterator[Stopwatch]:
     """Time the parts of a training while the block runs.
 
     Args:

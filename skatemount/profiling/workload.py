@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDictBase
 
 from skatemount.training.trainer import Trainer
-from skatemount.utils.devices import seconds as clock
+from skatemount.utils.devices import seconds
 
 SETTLE = 50
 """Control steps until the worlds are out of step with each other, and as far into their episodes as they get."""
@@ -20,7 +20,7 @@ Timed = Callable[[float], tuple[int, float]]
 """Works for at least so many seconds: environment steps, and the seconds that they took."""
 
 
-class Workload:
+class BenchWorkload:
     """Raw physics, the environment and the whole of a training, for a stopwatch.
 
     Args:
@@ -97,7 +97,7 @@ class Workload:
         return {name: (steps, took) for name, took in spent.items()}
 
     def _now(self) -> float:
-        return clock(self._env.physics.device)
+        return seconds(self._env.physics.device)
 
     def close(self) -> None:
         """Stop everything."""

@@ -12,8 +12,8 @@ from skatemount.envs.config.board import SkateboardConfig
 from skatemount.evaluation.evaluator import Evaluator
 from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.report import in_words
-from skatemount.evaluation.suite_task import Trial
-from skatemount.rendering.renderer import Moment
+from skatemount.evaluation.suite_task import EvaluationTask
+from skatemount.rendering.renderer import Frame
 
 _ROBOT_REACH = np.array([[0.3, 0.0, 0.06], [-0.3, 0.0, 0.06], [0.0, 0.15, 0.06], [0.0, -0.15, 0.06]])
 """Ends of the trunk in its frame, m."""
@@ -24,25 +24,25 @@ class Episode:
     """An episode to be drawn.
 
     Attributes:
-        moments: The start and every control step after it.
+        frames: The start and every control step after it.
         model: The scene with everything there is to see.
         subjects: ``[K, 3]`` where robot and board were, m.
         feet: The feet's geom ids.
-        control_step: Seconds between two moments.
+        control_step: Seconds between two frames.
         record: What came of it, a batch of one.
-        verdict: What came of it, in words.
+        summary: What came of it, in words.
     """
 
-    moments: list[Moment]
+    frames: list[Frame]
     model: mujoco.MjModel
     subjects: np.ndarray
     feet: list[int]
     control_step: float
     record: EpisodeRecords
-    verdict: str
+    summary: str
 
 
-def play(trial: Trial, number: int) -> Episode:
+def replay_episode(trial: EvaluationTask, number: int) -> Episode:
     """Play an episode of a trial once more, exactly as it was evaluated.
 
     Every world of its round is stepped again: what one world meets is drawn together with the others.
@@ -60,7 +60,7 @@ def play(trial: Trial, number: int) -> Episode:
     rounds, world = divmod(turn, env.num_worlds)
     control_step = env.mdp.context.control_step
     corners = _board_corners(env.task.scene.board.config)
-    moments: list[Moment] = []
+    frames: list[Frame] = []
     subjects: list[np.ndarray] = []
     ended = False
 
@@ -69,9 +69,9 @@ def play(trial: Trial, number: int) -> Episode:
         if ended:
             return
         sim, episode = env.sim, env.episode
-        _, data = env.physics.world(world)
-        moments.append(
-            Moment(
+        _, data = env.physics.render_data(world)
+        frames.append(
+            Frame(
                 time=step * control_step,
                 on_deck=episode.on_deck[world].tolist(),
                 touching=episode.touching[world].tolist(),
@@ -92,12 +92,12 @@ def play(trial: Trial, number: int) -> Episode:
     try:
         records = evaluator.round(trial.agent.policy, rounds, watch)
         record = trial.numbered(variant, records[world : world + 1])
-        model, _ = env.physics.world(world)
+        model, _ = env.physics.render_data(world)
         feet = [model.geom(geom.full_identifier).id for geom in env.task.scene.robot.foot_geoms]
-        verdict = _verdict(evaluator, record, moments[-1])
+        summary = _summary(evaluator, record, frames[-1])
     finally:
         evaluator.close()
-    return Episode(moments, model, np.concatenate(subjects), feet, control_step, record, verdict)
+    return Episode(frames, model, np.concatenate(subjects), feet, control_step, record, summary)
 
 
 def _board_corners(board: SkateboardConfig) -> np.ndarray:
@@ -106,7 +106,7 @@ def _board_corners(board: SkateboardConfig) -> np.ndarray:
     return np.array(list(itertools.product((-x, x), (-y, y), (-board.deck_height, 0.0))))
 
 
-def _verdict(evaluator: Evaluator, record: EpisodeRecords, last: Moment) -> str:
+def _summary(evaluator: Evaluator, record: EpisodeRecords, last: Frame) -> str:
     if record.success:
         time = float(record.mount_time)
         return "succeeded" + (f", mounted {time:.2f} s after the first foot touched the board" if time >= 0 else "")

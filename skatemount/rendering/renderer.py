@@ -28,7 +28,7 @@ PANEL, TEXT = (24, 29, 37), (255, 255, 255)
 
 
 @dataclass
-class Moment:
+class Frame:
     """What a label says and a picture shows.
 
     Attributes:
@@ -48,8 +48,8 @@ class Moment:
     mocap_pos: np.ndarray
 
 
-class Painter:
-    """Draws moments of an episode with a camera that stands still.
+class EpisodeRenderer:
+    """Draws frames of an episode with a camera that stands still.
 
     Args:
         model: The scene with everything there is to see; its field of view is set.
@@ -86,12 +86,12 @@ class Painter:
             reason = " ".join(str(error).split())
             raise ConfigError(f"cannot draw: {reason}. {opengl.ADVICE}") from error
 
-    def draw(self, moment: Moment) -> Image.Image:
-        """The picture of a moment, without label."""
-        self._data.qpos[:], self._data.mocap_pos[:] = moment.qpos, moment.mocap_pos
+    def draw(self, frame: Frame) -> Image.Image:
+        """The picture of a frame, without label."""
+        self._data.qpos[:], self._data.mocap_pos[:] = frame.qpos, frame.mocap_pos
         mujoco.mj_forward(self._model, self._data)
         self._renderer.update_scene(self._data, self._camera)
-        painted = {geom for foot, on_deck in zip(self._feet, moment.on_deck, strict=True) if on_deck for geom in foot}
+        painted = {geom for foot, on_deck in zip(self._feet, frame.on_deck, strict=True) if on_deck for geom in foot}
         scene = self._renderer.scene
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in painted:
@@ -143,14 +143,14 @@ def frame_camera(subjects: np.ndarray, aspect: float) -> mujoco.MjvCamera:
     return camera
 
 
-def label(picture: Image.Image, moment: Moment, scale: float = 1.0) -> Image.Image:
+def draw_overlay(picture: Image.Image, frame: Frame, scale: float = 1.0) -> Image.Image:
     """Write time, feet in contact and whether the robot is mounted into a picture.
 
     A foot on the deck is green, one on anything else white, one in the air grey.
 
     Args:
         picture: The picture; left as it is.
-        moment: What it shows.
+        frame: What it shows.
         scale: Size of the writing.
 
     Returns:
@@ -162,7 +162,7 @@ def label(picture: Image.Image, moment: Moment, scale: float = 1.0) -> Image.Ima
     pill_w, row_h = round(size * 1.95), round(size * 1.5)
     time_w = round(font.getlength("00.00 s")) + 2 * gap
     word_w = round(bold.getlength("mounted")) + 2 * pad
-    width = pad * 2 + time_w + 4 * pill_w + 3 * gap + (gap + word_w if moment.mounted else 0)
+    width = pad * 2 + time_w + 4 * pill_w + 3 * gap + (gap + word_w if frame.mounted else 0)
     left, top = margin, picture.height - margin - row_h - 2 * pad
 
     # Drawn twice as large and shrunk: Pillow does not smooth the edges of shapes.
@@ -177,9 +177,9 @@ def label(picture: Image.Image, moment: Moment, scale: float = 1.0) -> Image.Ima
             draw.rounded_rectangle(box, radius=row_h * 0.6, fill=fill)
         draw.text((box[0] + w, middle), text, font=_font(round(size * 0.88) * 2), fill=ink, anchor="mm")
 
-    draw.text((pad * 2 + 4, middle), f"{moment.time:.2f} s", font=_font(size * 2), fill=TEXT, anchor="lm")
+    draw.text((pad * 2 + 4, middle), f"{frame.time:.2f} s", font=_font(size * 2), fill=TEXT, anchor="lm")
     x = pad + time_w
-    for leg, deck, touch in zip(LEGS, moment.on_deck, moment.touching, strict=True):
+    for leg, deck, touch in zip(LEGS, frame.on_deck, frame.touching, strict=True):
         if deck:
             pill(x, pill_w, leg, DECK, TEXT)
         elif touch:
@@ -187,33 +187,33 @@ def label(picture: Image.Image, moment: Moment, scale: float = 1.0) -> Image.Ima
         else:
             pill(x, pill_w, leg, None, (*AIR, 255))
         x += pill_w + gap
-    if moment.mounted:
+    if frame.mounted:
         pill(x, word_w, "mounted", None, DECK)
     result = picture.convert("RGBA")
     result.alpha_composite(panel.resize((width, row_h + 2 * pad), Image.Resampling.LANCZOS), (left, top))
     return result.convert("RGB")
 
 
-def choose_moments(moments: Sequence[Moment], count: int = 6) -> list[int]:
-    """Which moments a filmstrip shows: where something happens.
+def choose_frames(frames: Sequence[Frame], count: int = 6) -> list[int]:
+    """Which frames a filmstrip shows: where something happens.
 
-    The first and the last moment, and between them moments at equal distances from the start to half a second after the
+    The first and the last frame, and between them frames at equal distances from the start to half a second after the
     robot has come to stand on the board, or to the end if it never stands there.
 
     Args:
-        moments: The episode.
+        frames: The episode.
         count: How many, at least 2.
 
     Returns:
         Indices in order; fewer than ``count`` only if the episode is shorter.
     """
-    last = len(moments) - 1
+    last = len(frames) - 1
     standing = last
-    while standing > 0 and moments[standing - 1].mounted and moments[last].mounted:
+    while standing > 0 and frames[standing - 1].mounted and frames[last].mounted:
         standing -= 1
-    if moments[last].mounted:
-        settled = moments[standing].time + 0.5
-        end = next((i for i, m in enumerate(moments) if m.time >= settled), last)
+    if frames[last].mounted:
+        settled = frames[standing].time + 0.5
+        end = next((i for i, m in enumerate(frames) if m.time >= settled), last)
         chosen = [round(i * end / (count - 2)) for i in range(count - 1)] + [last]
     else:
         chosen = [round(i * last / (count - 1)) for i in range(count)]

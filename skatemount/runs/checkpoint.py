@@ -38,7 +38,7 @@ _NON_FINITE = ("nan", "inf", "-inf")
 
 
 @dataclass(kw_only=True)
-class Card:
+class PolicyCard:
     """What a policy is, in plain words and numbers: enough to rebuild its network and its task.
 
     Attributes:
@@ -77,7 +77,7 @@ class Card:
         return json.dumps(plain, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
     @classmethod
-    def from_json(cls, text: str | bytes, where: str = "card") -> Card:
+    def from_json(cls, text: str | bytes, where: str = "card") -> PolicyCard:
         """Reads a card.
 
         Args:
@@ -109,7 +109,7 @@ class Card:
         return cls(**{name: _revive(value) for name, value in document.items()})
 
 
-def save_policy(path: Path, modules: dict[str, nn.Module], card: Card) -> None:
+def save_policy(path: Path, modules: dict[str, nn.Module], card: PolicyCard) -> None:
     """Writes a policy file and its card.
 
     Args:
@@ -137,7 +137,7 @@ def save_policy(path: Path, modules: dict[str, nn.Module], card: Card) -> None:
     atomic.write_text(_card_path(path), dataclasses.replace(card, sha256=digest).to_json())
 
 
-def load_policy(path: Path) -> tuple[dict[str, dict[str, Tensor]], Card]:
+def load_policy(path: Path) -> tuple[dict[str, dict[str, Tensor]], PolicyCard]:
     """Reads a policy and its card.
 
     Args:
@@ -157,17 +157,19 @@ def load_policy(path: Path) -> tuple[dict[str, dict[str, Tensor]], Card]:
     return modules, card
 
 
-def read_card(path: Path) -> Card:
+def read_card(path: Path) -> PolicyCard:
     """Reads the card of a policy file or checkpoint folder, without its weights.
 
     Raises:
         ConfigError: The policy or its card is missing, or the card is malformed.
     """
     card_path = _card_path(_policy_file(path))
-    return Card.from_json(read_bytes(card_path), str(card_path))
+    return PolicyCard.from_json(read_bytes(card_path), str(card_path))
 
 
-def save_checkpoint(folder: Path, modules: dict[str, nn.Module], card: Card, training_state: dict[str, Any]) -> None:
+def save_checkpoint(
+    folder: Path, modules: dict[str, nn.Module], card: PolicyCard, training_state: dict[str, Any]
+) -> None:
     """Writes a checkpoint folder, whole or not at all.
 
     Args:

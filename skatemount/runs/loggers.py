@@ -18,7 +18,7 @@ class MetricsLog:
     """Writes metrics to `metrics.csv` and to TensorBoard event files, by environment steps.
 
     TensorBoard is written through `torch.utils.tensorboard` rather than TorchRL's logger: events
-    then lie in the run folder itself, and a resumed run can say which earlier ones to forget.
+    then lie in the run folder itself, and a resume_config run can say which earlier ones to forget.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class MetricsLog:
             run: The run folder that they are in.
             tensorboard: Whether to write TensorBoard events.
             csv: Whether to write `metrics.csv`.
-            resume_at: Environment steps of the checkpoint that a resumed run goes on from; what was
+            resume_at: Environment steps of the checkpoint that a resume_config run goes on from; what was
                 logged beyond it is dropped.
 
         Raises:

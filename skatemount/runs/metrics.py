@@ -28,7 +28,7 @@ class MetricsCsv:
         Args:
             path: The file.
             resume_at: When going on from a checkpoint, its environment steps: rows beyond it, which
-                the resumed run will write again, are dropped.
+                the resume_config run will write again, are dropped.
         """
         self.path = path
         self._columns: list[str] = [STEP]

@@ -25,10 +25,10 @@ from skatemount.runs.folder import RunFolder
 from skatemount.runs.lock import claimed
 from skatemount.runs.serialization import parse_json
 from skatemount.training.plots import plot_chain
-from skatemount.training.resume import change_saved
-from skatemount.training.trainer import Trainer, gate_reached, termination_as_interrupt
+from skatemount.training.resume import apply_resume_overrides
+from skatemount.training.trainer import Trainer, gate_reached, sigterm_as_interrupt
 from skatemount.utils.errors import ConfigError
-from skatemount.utils.formatting import compact
+from skatemount.utils.formatting import format_count
 
 CONFIGS_FILE = "stages.yaml"
 REPORT_FILE = "stages.json"
@@ -143,7 +143,7 @@ class Chain:
             raise ConfigError(f"{path}: cannot be read, and the chain cannot go on without it") from error
         stages = {name: configuration.from_dict(stage) for name, stage in values.items()}
         for each in (saved, *stages.values()):
-            change_saved(each, config, overrides)
+            apply_resume_overrides(each, config, overrides)
         return cls(run, saved, stages, overrides)
 
     def budget(self, place: int) -> int:
@@ -180,7 +180,7 @@ class Chain:
             raise ConfigError(
                 f"total_frames={self.config.total_frames}: all stages of {self.run.path} have ended: give more to go on"
             )
-        with claimed(self.run.path), termination_as_interrupt():
+        with claimed(self.run.path), sigterm_as_interrupt():
             try:
                 for place in left:
                     self._train(place)
@@ -199,7 +199,7 @@ class Chain:
                 # It was stopped before its first checkpoint.
                 atomic.remove_folder(part.folder)
             config.init_from = self._start(place)
-        end = f"after {compact(config.total_frames)} steps"
+        end = f"after {format_count(config.total_frames)} steps"
         if part.link.gate is not None:
             end = f"at an evaluated success of {part.link.gate:.0%}, or {end}"
         print(f"stage {place + 1} of {total}, {part.name}: {config.stage.description}; it ends {end}")

@@ -12,7 +12,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 
 from skatemount.runs.loggers import as_number
-from skatemount.utils.formatting import clock, compact
+from skatemount.utils.formatting import format_count, format_duration
 
 
 class Progress:
@@ -83,7 +83,7 @@ class Progress:
 
     def _print_line(self) -> None:
         done = min(self._frames / max(self._total, 1), 1.0)
-        head = f"{self._title}  {compact(self._frames)}/{compact(self._total)} ({done:.0%})"
+        head = f"{self._title}  {format_count(self._frames)}/{format_count(self._total)} ({done:.0%})"
         cells = [f"{name} {value}" for name, value in self._cells().items()]
         print("  ".join([head, *cells]), file=self._console.file, flush=True)
         self._line_at = time.monotonic()
@@ -99,7 +99,7 @@ class Progress:
         for i in range(half):
             grid.add_row(*cells[i], *(cells[i + half] if i + half < len(cells) else ("", "")))
         panel = Table.grid()
-        done = f"{compact(self._frames)} of {compact(self._total)} steps"
+        done = f"{format_count(self._frames)} of {format_count(self._total)} steps"
         panel.add_row(f"[bold]{escape(self._title)}[/bold]  {done}")
         panel.add_row(ProgressBar(total=max(self._total, 1), completed=self._frames, width=46))
         panel.add_row(grid)
@@ -112,7 +112,7 @@ class Progress:
         get = self._metrics.get
         left = (self._total - self._frames) / rate if rate > 0 else math.nan
         values = {
-            "steps/s": (get("Perf/total_fps", rate), compact),
+            "steps/s": (get("Perf/total_fps", rate), format_count),
             "reward": (get("Train/mean_reward"), "{:.2f}".format),
             "length": (get("Train/mean_episode_length"), "{:.0f}".format),
             "success": (get("Success/rate"), "{:.2f}".format),
@@ -121,8 +121,8 @@ class Progress:
             "kl": (get("Loss/kl"), "{:.4f}".format),
             "lr": (get("Loss/learning_rate"), "{:.1e}".format),
             "std": (get("Policy/mean_std"), "{:.2f}".format),
-            "elapsed": (get("Perf/elapsed_s", own), clock),
-            "left": (max(left, 0.0), clock),
+            "elapsed": (get("Perf/elapsed_s", own), format_duration),
+            "left": (max(left, 0.0), format_duration),
         }
         return {
             name: "-" if math.isnan(value) else form(value)

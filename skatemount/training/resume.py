@@ -12,7 +12,7 @@ from skatemount.runs.folder import RunFolder
 from skatemount.utils.errors import ConfigError
 
 
-def resumed(config: Config, overrides: list[str]) -> Config:
+def resume_config(config: Config, overrides: list[str]) -> Config:
     """The settings of a run that goes on: what it saved, and what the command line changes in it.
 
     Args:
@@ -23,18 +23,18 @@ def resumed(config: Config, overrides: list[str]) -> Config:
         The same settings unless ``resume`` is set.
 
     Raises:
-        ConfigError: Nothing to go on with, or see `change_saved`.
+        ConfigError: Nothing to go on with, or see `apply_resume_overrides`.
     """
     if config.resume is None:
         return config
     folder = find_checkpoint(config.resume, Path(config.logger.root), setting="resume")
     saved = configuration.from_dict(RunFolder.open(folder, setting="resume").config)
-    change_saved(saved, config, overrides)
+    apply_resume_overrides(saved, config, overrides)
     saved.resume = str(folder)
     return saved
 
 
-def change_saved(saved: Config, config: Config, overrides: list[str]) -> None:
+def apply_resume_overrides(saved: Config, config: Config, overrides: list[str]) -> None:
     """Change in a run's saved settings what the user asks for and may change in the middle of a run.
 
     Args:

@@ -15,12 +15,12 @@ from torch import Tensor
 from torchrl.collectors import Collector
 
 from skatemount import config as configuration
-from skatemount.agents.agent import MODULE, Agent, make_card
 from skatemount.agents.interface import JOINTS
-from skatemount.agents.transfer import take_over
+from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
+from skatemount.agents.transfer import load_pretrained
 from skatemount.config import Config
 from skatemount.curriculum.base import make_curriculum
-from skatemount.curriculum.stuck_states import Harvest
+from skatemount.curriculum.stuck_states import StuckStateBuffer
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.mdp import Mdp
 from skatemount.envs.mirror import mirror_map
@@ -39,13 +39,13 @@ from skatemount.training.plots import plot_learning_curves
 from skatemount.training.progress import Progress
 from skatemount.utils.devices import rng_state, seconds, set_rng_state
 from skatemount.utils.errors import ConfigError
-from skatemount.utils.formatting import compact
-from skatemount.utils.memory import keep_freed_memory
+from skatemount.utils.formatting import format_count
+from skatemount.utils.memory import disable_malloc_trim
 
 
 def set_up_process(config: Config) -> None:
     """Torch's threads and matrix precision, and memory; physics and torch take turns, so both may have every core."""
-    keep_freed_memory()
+    disable_malloc_trim()
     torch.set_num_threads(config.torch_threads or available_cores())
     torch.set_float32_matmul_precision("highest" if config.precision == "highest" else "medium")
 
@@ -78,38 +78,43 @@ class Trainer:
         torch.manual_seed(config.seed)
         self.task = MountTask(config=config)
         collector = config.collector
-        self.env = MountEnv(self.task, seed=config.seed, random_phase=collector.random_phase, enough=collector.enough)
+        self.env = MountEnv(
+            self.task,
+            seed=config.seed,
+            random_phase=collector.random_phase,
+            max_mounted_time=collector.max_mounted_time,
+        )
         mdp = self.env.mdp
         device = self.env.physics.device
         self.networks = make_networks(config, mdp).to(device)
-        self._order = torch.Generator(device).manual_seed(config.seed)
+        self._minibatch_generator = torch.Generator(device).manual_seed(config.seed)
         self.ppo = PPO(
             config.algorithm,
             self.networks,
             mdp.context.control_step,
             bf16=config.precision == "bf16",
-            generator=self._order,
+            generator=self._minibatch_generator,
         )
         self.curriculum = make_curriculum(config.curriculum, self.task.scene.deck_height, device)
         if self.curriculum is not None:
-            self.env.listeners.append(self.curriculum.record)
-            self.env.place_starts(self.curriculum.place)
-        if config.curriculum.harvest:
-            Harvest(self.env, config.curriculum.harvest)
+            self.env.listeners.append(self.curriculum.observe_step)
+            self.env.set_start_sampler(self.curriculum.sample_poses)
+        if config.curriculum.stuck_start_fraction:
+            StuckStateBuffer(self.env, config.curriculum.stuck_start_fraction)
         self.frames = self.iteration = self._saved = 0
         self.elapsed = 0.0
         self._evaluator: Evaluator | None = None
-        self._look_around = False
+        self._collect_normalizer_stats = False
         if config.resume is not None:
             self.run = RunFolder.open(config.resume)
             self._restore(Path(config.resume))
         else:
             self.started_from = self._initialise()
             if self.started_from is not None:
-                self.ppo.start_gently()
+                self.ppo.use_min_learning_rate()
                 if config.stage.renormalize:
-                    self.networks.forget()
-                    self._look_around = True
+                    self.networks.reset_statistics()
+                    self._collect_normalizer_stats = True
             logger, values = config.logger, configuration.to_dict(config)
             name = logger.name or config.stage.name
             if parent is None:
@@ -124,8 +129,8 @@ class Trainer:
             spec = self.config.stage.init_from
         if spec is None:
             return None
-        agent = Agent.load(spec, self.config.logger.root, "init_from")
-        take_over(self.networks, agent, self.task, self.config.grow, f"init_from={spec}")
+        agent = TrainedPolicy.load(spec, self.config.logger.root, "init_from")
+        load_pretrained(self.networks, agent, self.task, self.config.init_from_expand, f"init_from={spec}")
         # How widely to explore is for this run to say: what walking needed is too much for standing.
         self.networks.limit_std(self.config.network.max_std)
         return spec
@@ -148,11 +153,11 @@ class Trainer:
         self.elapsed = state["elapsed"]
         if self.curriculum is not None:
             self.curriculum.load_state_dict(state["curriculum"])
-            self.env.place_starts(self.curriculum.place)
+            self.env.set_start_sampler(self.curriculum.sample_poses)
         set_rng_state(state["torch_rng"], device)
-        self._order.set_state(state["order_rng"])
+        self._minibatch_generator.set_state(state["order_rng"])
         self.env.generator.set_state(state["env_rng"])
-        self.ppo.calm_down(self.frames, self.config.total_frames)
+        self.ppo.step_schedules(self.frames, self.config.total_frames)
         self.started_from = str(folder)
 
     def _behind(self) -> list[Tensor]:
@@ -195,7 +200,7 @@ class Trainer:
         )
         progress = Progress(config.total_frames, config.stage.name, logger.progress_every, self.frames)
         drawn = time.monotonic()
-        with termination_as_interrupt(), log, progress, closing(self.iterations()) as iterations:
+        with sigterm_as_interrupt(), log, progress, closing(self.iterations()) as iterations:
             try:
                 for metrics in iterations:
                     last = self.frames >= config.total_frames
@@ -226,7 +231,7 @@ class Trainer:
         Raises:
             ConfigError: The engine's memory was too small for all contacts.
         """
-        batch_frames = self.env.num_worlds * self.config.collector.steps
+        batch_frames = self.env.num_worlds * self.config.collector.steps_per_env
         collector = Collector(
             self.env,
             self.networks.actor,
@@ -244,7 +249,7 @@ class Trainer:
                 metrics = self._learn(batch)
                 self.frames += batch_frames
                 self.iteration += 1
-                self.ppo.calm_down(self.frames, self.config.total_frames)
+                self.ppo.step_schedules(self.frames, self.config.total_frames)
                 now = seconds(device)
                 self.elapsed = already + now - started
                 if lost := self.env.physics.overflowed():
@@ -252,7 +257,7 @@ class Trainer:
                 metrics |= self.env.statistics.pop()
                 if self.curriculum is not None:
                     self.curriculum.update()
-                    self.env.place_starts(self.curriculum.place)
+                    self.env.set_start_sampler(self.curriculum.sample_poses)
                     metrics |= self.curriculum.metrics()
                 metrics |= {
                     "Perf/total_fps": batch_frames / (now - mark),
@@ -266,10 +271,10 @@ class Trainer:
             collector.shutdown(close_env=False)
 
     def _learn(self, batch: TensorDictBase) -> dict[str, float]:
-        if self._look_around:
+        if self._collect_normalizer_stats:
             # The actions of this batch are those of a policy that saw through the old statistics.
             self.networks.observe(batch)
-            self._look_around = False
+            self._collect_normalizer_stats = False
             return {}
         return self.ppo.update(batch)
 
@@ -287,7 +292,7 @@ class Trainer:
         if self.config.logger.csv:
             plot_learning_curves(self.run.metrics_csv, self.run.curves_png, title=name)
         if self.curriculum is not None:
-            self.curriculum.draw(self.run.curriculum_png, f"{name}, {compact(self.frames)} steps")
+            self.curriculum.draw(self.run.curriculum_png, f"{name}, {format_count(self.frames)} steps")
 
     def save(self, metrics: dict[str, float]) -> None:
         """Write a checkpoint.
@@ -299,7 +304,7 @@ class Trainer:
         score = None
         if "Evaluation/success" in metrics:
             score = metrics["Evaluation/success"] + 0.01 * metrics["Evaluation/feet_on_board"]
-        card = make_card(self.config, self.task, self.frames, metrics)
+        card = make_policy_card(self.config, self.task, self.frames, metrics)
         state: dict[str, Any] = {
             "networks": dict(self.networks.state_dict()),
             "behind": self._behind(),
@@ -310,7 +315,7 @@ class Trainer:
             "curriculum": None if self.curriculum is None else self.curriculum.state_dict(),
             "device": self.env.physics.device.type,
             "torch_rng": rng_state(self.env.physics.device),
-            "order_rng": self._order.get_state(),
+            "order_rng": self._minibatch_generator.get_state(),
             "env_rng": self.env.generator.get_state(),
         }
         folder = self.run.checkpoint(self.frames)
@@ -332,7 +337,7 @@ def gate_reached(gate: float | None, metrics: dict[str, Any]) -> bool:
 
 
 @contextmanager
-def termination_as_interrupt() -> Iterator[None]:
+def sigterm_as_interrupt() -> Iterator[None]:
     """Let a request to end (SIGTERM) end the run as Ctrl-C does."""
 
     def interrupt(signum: int, frame: Any) -> None:

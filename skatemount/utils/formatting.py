@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 
-def compact(value: float) -> str:
+def format_count(value: float) -> str:
     """Shortens a count: 950, 15.2k, 1.20M, 3.00G."""
     for size, letter, digits in ((1e9, "G", 2), (1e6, "M", 2), (1e3, "k", 1)):
         if abs(value) >= size:
@@ -13,7 +13,7 @@ def compact(value: float) -> str:
     return f"{value:.0f}"
 
 
-def clock(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Formats a time in seconds as m:ss or h:mm:ss."""
     if not math.isfinite(seconds):
         return "-"

@@ -11,7 +11,7 @@ _TRIM_THRESHOLD, _MMAP_MAX = -1, -4
 """Parameters of glibc's ``mallopt``, from its ``malloc.h``."""
 
 
-def keep_freed_memory() -> None:
+def disable_malloc_trim() -> None:
     """Let the C library keep the memory of freed arrays for the next ones, instead of giving it back to the system.
 
     Learning makes and drops arrays of some megabytes all the time. Memory that comes from the system anew is cleared

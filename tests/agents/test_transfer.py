@@ -10,11 +10,11 @@ from tensordict import TensorDict
 from tiny import SILENT, TINY
 from torch import Tensor
 
-from skatemount.agents.agent import Agent
-from skatemount.agents.interface import observation_contract
+from skatemount.agents.interface import observation_layout
+from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import compose
 from skatemount.models.actor_critic import ActorCritic
-from skatemount.training.resume import resumed
+from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
@@ -22,19 +22,19 @@ SMALL = [*TINY, *SILENT, "init_from=null", "network.actor=[16,8]", "network.crit
 
 
 @pytest.fixture(scope="module", params=["true", "false"], ids=["symmetric", "plain"])
-def small(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Agent:
+def small(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> TrainedPolicy:
     """A policy that has learnt a little, and its normalisers with it."""
     root = tmp_path_factory.mktemp("small")
     more = [f"network.symmetric={request.param}", "total_frames=128", f"logger.root={root}"]
     trainer = Trainer(compose("mount", [*SMALL, *more]), [])
     trainer.train()
     trainer.close()
-    return Agent.load(str(trainer.run.path))
+    return TrainedPolicy.load(str(trainer.run.path))
 
 
-def grown(small: Agent, root: Path, *overrides: str) -> Trainer:
+def grown(small: TrainedPolicy, root: Path, *overrides: str) -> Trainer:
     symmetric = f"network.symmetric={str(small.config.network.symmetric).lower()}"
-    given = [*SMALL, symmetric, f"logger.root={root}", f"init_from={small.path}", "grow=true", *overrides]
+    given = [*SMALL, symmetric, f"logger.root={root}", f"init_from={small.path}", "init_from_expand=true", *overrides]
     trainer = Trainer(compose("mount", given), [])
     trainer.close()
     return trainer
@@ -57,12 +57,12 @@ def outputs(networks: ActorCritic, seen: TensorDict) -> list[Tensor]:
     ],
     ids=["alike", "larger", "more terms", "more frames", "all"],
 )
-def test_does_what_it_did(small: Agent, tmp_path: Path, overrides: list[str], new: str) -> None:
+def test_does_what_it_did(small: TrainedPolicy, tmp_path: Path, overrides: list[str], new: str) -> None:
     trainer = grown(small, tmp_path, *overrides)
     torch.manual_seed(1)
     seen, saw = {}, {}
     for key in ("observation", "privileged"):
-        parts = [p for p in observation_contract(trainer.task) if p["key"] == key]
+        parts = [p for p in observation_layout(trainer.task) if p["key"] == key]
         old = {p["name"]: p["size"] for p in small.card.observation if p["key"] == key}
         values = {p["name"]: torch.randn(50, p["size"]) for p in parts}
         seen[key] = torch.cat([values[p["name"]] for p in parts], 1)
@@ -76,7 +76,7 @@ def test_does_what_it_did(small: Agent, tmp_path: Path, overrides: list[str], ne
     # What is new can be learnt: its weights have a gradient.
     if new:
         at = 0
-        for part in observation_contract(trainer.task):
+        for part in observation_layout(trainer.task):
             if part["name"] == new:
                 break
             at += part["size"]
@@ -98,7 +98,7 @@ def test_does_what_it_did(small: Agent, tmp_path: Path, overrides: list[str], ne
     ids=lambda value: value[0],
 )
 def test_what_does_not_fit_in_is_one_line(
-    small: Agent, tmp_path: Path, overrides: list[str], expected: list[str]
+    small: TrainedPolicy, tmp_path: Path, overrides: list[str], expected: list[str]
 ) -> None:
     with pytest.raises(ConfigError) as error:
         grown(small, tmp_path, *overrides)
@@ -108,24 +108,24 @@ def test_what_does_not_fit_in_is_one_line(
         assert part in text
 
 
-def test_a_grown_run_that_goes_on_knows_what_is_new(small: Agent, tmp_path: Path) -> None:
+def test_a_grown_run_that_goes_on_knows_what_is_new(small: TrainedPolicy, tmp_path: Path) -> None:
     trainer = grown(small, tmp_path, "+observation.policy.off_time={}")
     trainer.save({})
     given = [f"resume={trainer.run.path}"]
-    again = Trainer(resumed(compose(None, given), given))
+    again = Trainer(resume_config(compose(None, given), given))
     again.close()
     before, after = (each.networks.normalizers[0] for each in (trainer, again))
     assert len(before.behind.unique()) == 2  # of the new values nothing is known, of the others all
     assert torch.equal(after.behind, before.behind)
 
 
-def test_grows_only_when_asked(small: Agent, tmp_path: Path) -> None:
+def test_grows_only_when_asked(small: TrainedPolicy, tmp_path: Path) -> None:
     for change in ("network.actor=[20,8]", "+observation.policy.off_time={}"):
-        with pytest.raises(ConfigError, match="init_from=.*grow=true"):
-            grown(small, tmp_path, "grow=false", change)
+        with pytest.raises(ConfigError, match="init_from=.*init_from_expand=true"):
+            grown(small, tmp_path, "init_from_expand=false", change)
 
 
-def test_growing_is_not_offered_where_it_would_not_help(small: Agent, tmp_path: Path) -> None:
+def test_growing_is_not_offered_where_it_would_not_help(small: TrainedPolicy, tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as error:
-        grown(small, tmp_path, "grow=false", "observation=compact")
-    assert "grow" not in str(error.value)
+        grown(small, tmp_path, "init_from_expand=false", "observation=compact")
+    assert "init_from_expand" not in str(error.value)

@@ -34,7 +34,7 @@ def test_memory_of_worlds(repo_root: Path, tmp_path: Path) -> None:
     assert done.stdout.count("with memory of their own") == 2
 
 
-def test_model_diet(repo_root: Path, tmp_path: Path) -> None:
+def test_solver_settings_tradeoff(repo_root: Path, tmp_path: Path) -> None:
     options = [
         "--worlds",
         "8",
@@ -47,7 +47,7 @@ def test_model_diet(repo_root: Path, tmp_path: Path) -> None:
         "--json",
         str(tmp_path / "a.json"),
     ]
-    script = repo_root / "benchmarks" / "model_diet.py"
+    script = repo_root / "benchmarks" / "solver_settings_tradeoff.py"
     done = run(script, "checkpoint=pretrained:unfixed", "--variants", "3 steps of 13.3 ms", *options)
     assert done.returncode == 0, done.stderr
     rows = json.loads((tmp_path / "a.json").read_text())

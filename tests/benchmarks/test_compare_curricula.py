@@ -13,7 +13,7 @@ import pytest
 import torch
 from matplotlib.image import imread
 
-from skatemount.runs.checkpoint import POLICY_FILE, Card, save_policy
+from skatemount.runs.checkpoint import POLICY_FILE, PolicyCard, save_policy
 from skatemount.runs.folder import RunFolder
 
 
@@ -30,7 +30,9 @@ def script(repo_root: Path) -> ModuleType:
 def checkpoints(run: RunFolder, stage: str, *frames: int) -> None:
     for each in frames:
         folder = run.checkpoint(each)
-        save_policy(folder / POLICY_FILE, {"actor": torch.nn.Linear(1, 1)}, Card(stage=stage, config={}, frames=each))
+        save_policy(
+            folder / POLICY_FILE, {"actor": torch.nn.Linear(1, 1)}, PolicyCard(stage=stage, config={}, frames=each)
+        )
         run.mark_checkpoint(folder, None)
 
 
@@ -74,7 +76,13 @@ def test_figure_is_drawn(script: ModuleType, tmp_path: Path) -> None:
 def test_from_training_to_figure_and_not_twice(
     script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tiny = ["physics.num_worlds=8", "collector.steps=4", "physics.threads=1", "torch_threads=1", "episode_length=1.0"]
+    tiny = [
+        "physics.num_worlds=8",
+        "collector.steps_per_env=4",
+        "physics.threads=1",
+        "torch_threads=1",
+        "episode_length=1.0",
+    ]
     tiny += ["logger.evaluate_episodes=8", "logger.tensorboard=false", "logger.csv=false"]
     options = ["--frames", "320", "--seeds", "0", "--points", "2", "--episodes", "4", "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", ["compare", *options, *tiny])

@@ -96,11 +96,17 @@ def test_paper_experiment() -> None:
     assert config.reward["feet_on_board_paper"].weight == 5 and "feet_on_board" not in config.reward
     assert config.board.wheel_stiffness == 5 and config.board.truck_stiffness == 5
     ppo = config.algorithm
-    assert (ppo.epochs, ppo.minibatches, ppo.clip, ppo.entropy_coeff, ppo.value_coeff) == (5, 4, 0.2, 0.01, 1.0)
+    assert (ppo.epochs, ppo.minibatches, ppo.clip_epsilon, ppo.entropy_coeff, ppo.critic_coeff) == (
+        5,
+        4,
+        0.2,
+        0.01,
+        1.0,
+    )
     assert (ppo.learning_rate, ppo.target_kl, ppo.max_grad_norm, ppo.clip_value) == (1e-3, 0.01, 1.0, True)
-    assert math.exp(-0.02 / ppo.horizon) == pytest.approx(0.99, abs=1e-5)
-    assert math.exp(-0.02 / ppo.trace) == pytest.approx(0.95, abs=1e-5)
-    assert config.collector.steps == 24
+    assert math.exp(-0.02 / ppo.discount_horizon) == pytest.approx(0.99, abs=1e-5)
+    assert math.exp(-0.02 / ppo.gae_horizon) == pytest.approx(0.95, abs=1e-5)
+    assert config.collector.steps_per_env == 24
 
 
 @pytest.mark.parametrize("order", [["+experiment=paper", "+stage=mount"], ["+stage=mount", "+experiment=paper"]])
@@ -183,14 +189,14 @@ def test_mistakes_are_one_line_that_names_the_setting(
         ("network.activation", "gelu", ["network.activation=gelu", "elu"]),
         ("network.critic", [], ["network.critic=[]", "layer sizes"]),
         ("network.min_std", 0, ["min_std=0", "0 < min_std"]),
-        ("algorithm.clip", 0, ["algorithm.clip=0", "above 0"]),
+        ("algorithm.clip_epsilon", 0, ["algorithm.clip_epsilon=0", "above 0"]),
         ("algorithm.learning_rate", math.nan, ["algorithm.learning_rate=nan", "above 0"]),
         ("algorithm.learning_rate", 1e9, ["algorithm.learning_rate=1000000000.0", "max_learning_rate=0.003"]),
         ("algorithm.entropy_coeff", -1, ["algorithm.entropy_coeff=-1", "0 or more"]),
         ("algorithm.min_learning_rate", 1, ["algorithm.min_learning_rate=1", "max_learning_rate"]),
         ("network.actor", [64, 33], ["network.actor=[64, 33]", "even", "network.symmetric=true"]),
         ("algorithm.minibatches", 0, ["algorithm.minibatches=0", "at least 1"]),
-        ("collector.steps", 0, ["collector.steps=0", "at least 1"]),
+        ("collector.steps_per_env", 0, ["collector.steps_per_env=0", "at least 1"]),
         ("logger.checkpoint_every", 0, ["logger.checkpoint_every=0", "at least 1"]),
         ("logger.evaluate_episodes", 0, ["logger.evaluate_episodes=0", "at least 1"]),
         ("logger.evaluate_every", -1, ["logger.evaluate_every=-1", "0 (none) or more"]),

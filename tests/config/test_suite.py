@@ -11,7 +11,7 @@ import torch
 from skatemount.config import Config, check_suite, compose, from_dict, suites, to_dict
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.task import MountTask
-from skatemount.evaluation.suite_task import expand, load_suite, trial_config
+from skatemount.evaluation.suite_task import evaluation_config, load_suite, members_of
 from skatemount.utils.errors import ConfigError
 
 PAIRS = {"mount-fixed": "mount-unfixed", "approach-fixed": "approach-unfixed"}
@@ -21,11 +21,11 @@ ONES = [name for name in suites() if name != "all"]
 @functools.cache
 def task(name: str, variant: str = "") -> Config:
     found = load_suite(name)
-    return trial_config(compose("balance"), found, variant=found.variants.get(variant, []))
+    return evaluation_config(compose("balance"), found, variant=found.variants.get(variant, []))
 
 
 def test_all_is_every_suite() -> None:
-    every = expand(load_suite("all"))
+    every = members_of(load_suite("all"))
     assert sorted(each.name for each in every) == sorted(ONES)
     assert all(each.version >= 1 and each.description for each in every)
 
@@ -115,6 +115,6 @@ def test_a_suite_that_cannot_be_is_one_line(settings: dict, said: str) -> None:
 
 def test_a_suite_of_suites_of_suites_is_refused() -> None:
     with pytest.raises(ConfigError, match="all is made of other suites itself"):
-        expand(SuiteConfig(name="more", members=["far", "all"]))
+        members_of(SuiteConfig(name="more", members=["far", "all"]))
     with pytest.raises(ConfigError, match="suite=near is not a suite"):
-        expand(SuiteConfig(name="more", members=["near"]))
+        members_of(SuiteConfig(name="more", members=["near"]))

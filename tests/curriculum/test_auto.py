@@ -11,7 +11,7 @@ import torch
 from skatemount.config import compose
 from skatemount.curriculum.auto import AutoCurriculum
 from skatemount.curriculum.config import CurriculumConfig
-from skatemount.envs.mdp import Outcome
+from skatemount.envs.mdp import StepResult
 from skatemount.envs.state import EpisodeState
 from skatemount.utils.errors import ConfigError
 
@@ -27,10 +27,10 @@ def finish(auto: AutoCurriculum, bins: torch.Tensor, good: bool) -> None:
     n = len(bins)
     episode = EpisodeState.zeros(n)
     episode.bin = bins
-    episode.steadiness = torch.full((n,), 1.0 if good else 0.0)
+    episode.soft_success = torch.full((n,), 1.0 if good else 0.0)
     flags = torch.ones(n, dtype=torch.bool)
-    outcome = Outcome(torch.zeros(n), torch.zeros(0, n), torch.zeros(0, n), ~flags, flags, flags)
-    auto.record(episode, outcome, flags)
+    outcome = StepResult(torch.zeros(n), torch.zeros(0, n), torch.zeros(0, n), ~flags, flags, flags)
+    auto.observe_step(episode, outcome, flags)
 
 
 def solve(auto: AutoCurriculum) -> None:
@@ -42,7 +42,7 @@ def solve(auto: AutoCurriculum) -> None:
 
 def test_begins_at_the_goal() -> None:
     auto = curriculum()
-    place = auto.place(500, torch.Generator().manual_seed(0))
+    place = auto.sample_poses(500, torch.Generator().manual_seed(0))
     ring, _, heading, height, free = torch.unravel_index(place.bin, auto.shape)
     assert not (ring.any() or heading.any() or height.any() or free.any()) and place.board_fixed.all()
     assert place.xy.norm(dim=1).max() <= auto.config.distances[0]
@@ -86,7 +86,9 @@ def test_too_few_episodes_open_nothing() -> None:
 
 
 def test_free_boards_wait_until_the_fixed_one_is_solved_far_enough() -> None:
-    auto = curriculum(distances=[0.1, 0.3], bearings=[90.0], headings=[90.0], heights=[0.05, HEIGHT], free_after=0.3)
+    auto = curriculum(
+        distances=[0.1, 0.3], bearings=[90.0], headings=[90.0], heights=[0.05, HEIGHT], free_board_after=0.3
+    )
     opened = lambda: auto.opened.view(auto.shape)  # noqa: E731
     solve(auto)
     assert not opened()[..., 1].any()
@@ -96,12 +98,12 @@ def test_free_boards_wait_until_the_fixed_one_is_solved_far_enough() -> None:
 
 
 def test_without_free_boards_all_starts_are_beside_fixed_ones(tmp_path: Path) -> None:
-    auto = curriculum(free_after=None, own=0.5)
+    auto = curriculum(free_board_after=None, stage_range_fraction=0.5)
     for _ in range(sum(auto.shape)):
         solve(auto)
     assert auto.opened.all()
-    place = auto.place(200, torch.Generator().manual_seed(0))
-    assert place.board_fixed.all() and place.own is not None and 0 < place.own.sum() < 200
+    place = auto.sample_poses(200, torch.Generator().manual_seed(0))
+    assert place.board_fixed.all() and place.from_stage_ranges is not None and 0 < place.from_stage_ranges.sum() < 200
     assert not [name for name in auto.metrics() if name.endswith("_free")]
     auto.draw(tmp_path / "fixed.png", "fixed boards")
     assert (tmp_path / "fixed.png").stat().st_size > 1000
@@ -138,7 +140,7 @@ def test_a_lower_step_is_outgrown_where_the_full_one_is_solved() -> None:
 def test_a_fixed_board_is_practised_less_where_the_free_one_is_solved() -> None:
     auto = curriculum()
     auto.opened[:] = True
-    auto.trials[:], auto.successes[:] = 40.0, 32.0  # all solved, all alike
+    auto.episodes[:], auto.successes[:] = 40.0, 32.0  # all solved, all alike
     bins = torch.arange(auto.opened.numel()).view(auto.shape)
     finish(auto, torch.full((400,), bins[3, 1, 1, -1, 1]), good=False)
     auto.update()
@@ -148,18 +150,18 @@ def test_a_fixed_board_is_practised_less_where_the_free_one_is_solved() -> None:
 
 
 def test_the_stages_own_starts_come_once_every_bin_is_open() -> None:
-    auto = curriculum(own=0.6)
+    auto = curriculum(stage_range_fraction=0.6)
     auto.opened[:] = True
     auto.opened[-1] = False
-    assert auto.place(100, torch.Generator().manual_seed(0)).own is None
+    assert auto.sample_poses(100, torch.Generator().manual_seed(0)).from_stage_ranges is None
     auto.opened[-1] = True
-    own = auto.place(10_000, torch.Generator().manual_seed(0)).own
+    own = auto.sample_poses(10_000, torch.Generator().manual_seed(0)).from_stage_ranges
     assert own is not None and float(own.float().mean()) == pytest.approx(0.6, abs=0.02)
-    assert curriculum().config.own == 0.0
+    assert curriculum().config.stage_range_fraction == 0.0
 
 
 def test_far_bins_are_left_to_the_stages_own_starts_once_they_come() -> None:
-    auto = curriculum(own=0.5, own_beyond=0.3)
+    auto = curriculum(stage_range_fraction=0.5, stage_range_from=0.3)
     near = torch.tensor(auto.config.distances) <= 0.3
     auto.opened[:] = True
     auto.opened[-1] = False
@@ -169,20 +171,22 @@ def test_far_bins_are_left_to_the_stages_own_starts_once_they_come() -> None:
     assert (rings[near] > 0).all() and (rings[~near] == 0).all()
     assert float(rings.sum()) == pytest.approx(1.0)
     # Without starts of the stage's own nothing would be left out there.
-    alone = curriculum(own_beyond=0.3)
+    alone = curriculum(stage_range_from=0.3)
     alone.opened[:] = True
     assert (alone.weights() > 0).all()
 
 
 def test_bins_cannot_all_be_left_to_the_stages_own_starts() -> None:
-    with pytest.raises(ConfigError, match=r"curriculum\.own_beyond=0\.01 must be null, or at least distances\[0\]"):
-        curriculum(own_beyond=0.01).config.validate()
+    with pytest.raises(
+        ConfigError, match=r"curriculum\.stage_range_from=0\.01 must be null, or at least distances\[0\]"
+    ):
+        curriculum(stage_range_from=0.01).config.validate()
 
 
 def test_places_lie_in_their_bins() -> None:
     auto = curriculum()
     auto.opened[:] = True
-    place = auto.place(4000, torch.Generator().manual_seed(1))
+    place = auto.sample_poses(4000, torch.Generator().manual_seed(1))
     ring, bearing, heading, height, free = torch.unravel_index(place.bin, auto.shape)
 
     def check(values: torch.Tensor, edges: list[float], index: torch.Tensor, tolerance: float) -> None:
@@ -216,8 +220,8 @@ def test_state_goes_into_a_checkpoint_and_back() -> None:
         ("curriculum.distances=[0.3,0.1]", "curriculum.distances"),
         ("curriculum.headings=[30,120]", "curriculum.headings"),
         ("curriculum.bearings=[30,120]", "curriculum.bearings"),
-        ("curriculum.lowest=0.03", "curriculum.lowest"),
-        ("curriculum.solved=1.5", "curriculum.solved"),
+        ("curriculum.min_height=0.03", "curriculum.min_height"),
+        ("curriculum.solved_rate=1.5", "curriculum.solved_rate"),
         ("curriculum.kind=magic", "curriculum.kind"),
     ],
 )
@@ -235,19 +239,19 @@ def test_heights_above_the_deck_are_refused() -> None:
 def test_episodes_that_began_in_the_middle_teach_nothing(make_env) -> None:
     auto = curriculum()
     env = make_env("unfixed", 64, ["episode_length=0.2"], random_phase=True)
-    env.listeners.append(auto.record)
-    env.place_starts(auto.place)
+    env.listeners.append(auto.observe_step)
+    env.set_start_sampler(auto.sample_poses)
     env.rollout(4, break_when_any_done=False)
     # Many have ended by now, and none of them was a whole one.
-    assert auto.trials.sum() == 0
+    assert auto.episodes.sum() == 0
     env.rollout(12, break_when_any_done=False)
-    assert auto.trials.sum() >= 64
+    assert auto.episodes.sum() >= 64
 
 
 def test_environment_reports_to_the_curriculum(make_env) -> None:
     auto = curriculum()
     env = make_env("unfixed", 16, ["episode_length=0.2"])
-    env.listeners.append(auto.record)
-    env.place_starts(auto.place)
+    env.listeners.append(auto.observe_step)
+    env.set_start_sampler(auto.sample_poses)
     env.rollout(12, break_when_any_done=False)
-    assert auto.trials[auto.opened].sum() >= 16 and auto.trials[~auto.opened].sum() == 0
+    assert auto.episodes[auto.opened].sum() >= 16 and auto.episodes[~auto.opened].sum() == 0

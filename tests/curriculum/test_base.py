@@ -17,7 +17,7 @@ from skatemount.utils.errors import ConfigError
 
 OWN = '''
 import torch
-from skatemount.envs.starts import Placement
+from skatemount.envs.starts import StartPoses
 
 
 class OneSpot:
@@ -28,12 +28,12 @@ class OneSpot:
         self.height = deck_height
         self.ended = 0
 
-    def place(self, n, generator):
+    def sample_poses(self, n, generator):
         xy = torch.tensor([[self.x, 0.0]]).repeat(n, 1)
         full = torch.full((n,), self.height)
-        return Placement(xy, torch.zeros(n), full, torch.ones(n, dtype=torch.bool), torch.zeros(n, dtype=torch.long))
+        return StartPoses(xy, torch.zeros(n), full, torch.ones(n, dtype=torch.bool), torch.zeros(n, dtype=torch.long))
 
-    def record(self, episode, outcome, done):
+    def observe_step(self, episode, outcome, done):
         self.ended += int(done.sum())
 
     def update(self):
@@ -62,7 +62,13 @@ def test_a_curriculum_of_ones_own_is_trained_with(tmp_path: Path, monkeypatch: p
     (tmp_path / "one_spot.py").write_text(OWN)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "one_spot", raising=False)
-    tiny = ["physics.num_worlds=4", "physics.threads=1", "torch_threads=1", "collector.steps=4", "episode_length=0.2"]
+    tiny = [
+        "physics.num_worlds=4",
+        "physics.threads=1",
+        "torch_threads=1",
+        "collector.steps_per_env=4",
+        "episode_length=0.2",
+    ]
     quiet = [
         "logger.evaluate_every=0",
         "logger.final_episodes=0",

@@ -33,10 +33,10 @@ def test_closed_bins_are_blank_and_open_ones_coloured(tmp_path: Path) -> None:
 def test_solved_bins_are_framed(tmp_path: Path) -> None:
     auto = AutoCurriculum(CurriculumConfig(kind="auto"), 0.088)
     pictures = []
-    for least in (auto.config.memory, 1.0):
-        auto.config.least = least
+    for least in (auto.config.window, 1.0):
+        auto.config.min_episodes = least
         auto.opened[:] = True
-        auto.trials[:], auto.successes[:] = 30.0, 27.0
+        auto.episodes[:], auto.successes[:] = 30.0, 27.0
         auto.draw(tmp_path / "x.png", "")
         pictures.append(imread(tmp_path / "x.png")[:, :, :3].sum(-1))
     dark = [(picture < 0.3).mean() for picture in pictures]
@@ -45,7 +45,7 @@ def test_solved_bins_are_framed(tmp_path: Path) -> None:
 
 def test_success_per_distance_is_logged_where_it_is_known() -> None:
     auto = AutoCurriculum(CurriculumConfig(kind="auto", distances=[0.1, 0.5, 1.0]), 0.088)
-    trials, successes = auto.trials.view(auto.shape), auto.successes.view(auto.shape)
+    trials, successes = auto.episodes.view(auto.shape), auto.successes.view(auto.shape)
     trials[0, ..., -1, :], successes[0, ..., -1, :] = 38.0, 29.0
     trials[1, ..., 0, :] = 38.0  # not at full height
     logged = {name: value for name, value in auto.metrics().items() if name.endswith("m")}
@@ -56,7 +56,7 @@ def test_success_per_distance_is_logged_where_it_is_known() -> None:
 def test_bins_from_which_no_start_is_drawn_any_more_look_different(tmp_path: Path) -> None:
     pictures = []
     for beyond in (None, 0.5):
-        auto = AutoCurriculum(CurriculumConfig(kind="auto", own=0.5, own_beyond=beyond), 0.088)
+        auto = AutoCurriculum(CurriculumConfig(kind="auto", stage_range_fraction=0.5, stage_range_from=beyond), 0.088)
         auto.opened[:] = True
         auto.draw(tmp_path / "x.png", "")
         pictures.append(imread(tmp_path / "x.png"))

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from skatemount.config import compose
-from skatemount.curriculum.stuck_states import SIZE, Harvest, as_starts, half_mounted
+from skatemount.curriculum.stuck_states import SIZE, StuckStateBuffer, half_mounted, to_start_states
 from skatemount.envs import MountEnv
 from skatemount.envs.geometry import rotate, rotate_inverse
-from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.physics.base import StartState
 from skatemount.envs.state import SimState
 from skatemount.utils.errors import ConfigError
 
@@ -42,7 +42,7 @@ def test_a_state_becomes_the_same_state(env: MountEnv) -> None:
     before = env.sim.clone()
     rows = half_mounted(before, env.episode)
     assert 3 < int(rows.sum()) < 64
-    env.physics.reset(torch.ones(64, dtype=torch.bool), as_starts(before, env.task.scene.deck_height))
+    env.physics.reset(torch.ones(64, dtype=torch.bool), to_start_states(before, env.task.scene.deck_height))
     after = env.physics.state()
     fixed = before.board_fixed
     assert 0 < int((fixed & rows).sum()) < int(rows.sum())
@@ -62,10 +62,10 @@ def test_a_state_becomes_the_same_state(env: MountEnv) -> None:
 
 def test_only_what_is_half_mounted_is_kept(make_env: Callable[..., MountEnv]) -> None:
     env = make_env("mount", 64, ["start.x=[-0.6,0.6]", "start.y=[-0.6,0.6]", "start.yaw=[-3,3]"])
-    harvest = Harvest(env, 0.5, after=0.0)
+    buffer = StuckStateBuffer(env, 0.5, after=0.0)
     fidget(env)
     assert (env.episode.on_deck.sum(1) == 0).any()
-    kept = harvest._kept
+    kept = buffer._kept
     assert kept is not None
     mask = torch.arange(64) < len(kept)
     env.physics.reset(mask, kept[:64])
@@ -76,12 +76,12 @@ def test_only_what_is_half_mounted_is_kept(make_env: Callable[..., MountEnv]) ->
 
 
 def test_a_share_of_the_starts_is_replaced(env: MountEnv) -> None:
-    harvest = Harvest(env, 0.25, after=0.0)
+    buffer = StuckStateBuffer(env, 0.25, after=0.0)
     drawn = env.task.make_sampler().draw(2000, torch.Generator().manual_seed(0))
     drawn.force = torch.full((2000, 3), 7.0)
-    assert harvest.mix(drawn, torch.Generator()) is drawn  # nothing is kept yet
+    assert buffer.replace_fraction(drawn, torch.Generator()) is drawn  # nothing is kept yet
     fidget(env)
-    mixed = harvest.mix(drawn, torch.Generator().manual_seed(0))
+    mixed = buffer.replace_fraction(drawn, torch.Generator().manual_seed(0))
     replaced = (mixed.joint_pos != drawn.joint_pos).any(1)
     assert 0.2 < float(replaced.float().mean()) < 0.3
     assert torch.equal(mixed.base_pos[~replaced], drawn.base_pos[~replaced])
@@ -90,46 +90,46 @@ def test_a_share_of_the_starts_is_replaced(env: MountEnv) -> None:
 
 
 def test_starts_of_a_bin_stay(env: MountEnv) -> None:
-    harvest = Harvest(env, 0.5, after=0.0)
+    buffer = StuckStateBuffer(env, 0.5, after=0.0)
     fidget(env)
     drawn = env.task.make_sampler().draw(400, torch.Generator().manual_seed(0))
     drawn.bin = torch.arange(400) % 2 - 1  # every other one is of bin 0
-    replaced = (harvest.mix(drawn, torch.Generator()).joint_pos != drawn.joint_pos).any(1)
+    replaced = (buffer.replace_fraction(drawn, torch.Generator()).joint_pos != drawn.joint_pos).any(1)
     assert 60 < int(replaced.sum()) < 140 and (drawn.bin[replaced] == -1).all()
 
 
 def test_a_robot_on_its_way_is_not_kept(env: MountEnv) -> None:
-    harvest = Harvest(env, 0.5, after=0.1)
+    buffer = StuckStateBuffer(env, 0.5, after=0.1)
     fidget(env, steps=3)  # 0.12 s, the contact at 0.04
-    assert half_mounted(env.sim, env.episode).any() and harvest._kept is None
+    assert half_mounted(env.sim, env.episode).any() and buffer._kept is None
     fidget(env, steps=8)
-    assert harvest._kept is not None
+    assert buffer._kept is not None
 
 
 def test_the_environment_starts_from_them(env: MountEnv) -> None:
-    Harvest(env, 0.9, after=0.0)
+    StuckStateBuffer(env, 0.9, after=0.0)
     fidget(env)
-    env.change_starts(env._change)  # what was drawn before there was a harvest is left
+    env.set_start_transform(env._change)  # what was drawn before there was a buffer is left
     env.reset()
     moving = env.sim.joint_vel.abs().amax(1) > 1e-3
     assert 0.7 < float(moving.float().mean()) <= 1.0
 
 
 def test_old_states_make_room(env: MountEnv) -> None:
-    harvest = Harvest(env, 0.5, after=0.0)
+    buffer = StuckStateBuffer(env, 0.5, after=0.0)
     fidget(env)
-    assert harvest._kept is not None
-    harvest._kept = WorldStart.cat([harvest._kept] * (SIZE // len(harvest._kept) + 1))
+    assert buffer._kept is not None
+    buffer._kept = StartState.cat([buffer._kept] * (SIZE // len(buffer._kept) + 1))
     fidget(env)
-    assert len(harvest._kept) == SIZE
+    assert len(buffer._kept) == SIZE
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.0])
 def test_share_out_of_range(share: float) -> None:
-    with pytest.raises(ConfigError, match=r"curriculum\.harvest=.* below 1"):
-        compose("mount", [f"curriculum.harvest={share}"])
+    with pytest.raises(ConfigError, match=r"curriculum\.stuck_start_fraction=.* below 1"):
+        compose("mount", [f"curriculum.stuck_start_fraction={share}"])
 
 
 def test_not_in_a_chain() -> None:
-    with pytest.raises(ConfigError, match=r"curriculum\.harvest=0\.2 .*chain"):
-        compose(None, ["+curriculum=paper", "curriculum.harvest=0.2"])
+    with pytest.raises(ConfigError, match=r"curriculum\.stuck_start_fraction=0\.2 .*chain"):
+        compose(None, ["+curriculum=paper", "curriculum.stuck_start_fraction=0.2"])

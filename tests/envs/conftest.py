@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from skatemount.envs.geometry import facing
+from skatemount.envs.geometry import board_direction
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import TaskContext
 
@@ -81,7 +81,7 @@ def _episode(sim: SimState | None = None, **fields: Any) -> EpisodeState:
     if sim is not None:
         distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
         episode.distance = episode.previous_distance = distance
-        episode.facing = facing(sim.board_rot_base)
+        episode.board_direction = board_direction(sim.board_rot_base)
     for name, value in fields.items():
         like = getattr(episode, name)
         setattr(episode, name, torch.as_tensor(np.array(value)).to(like.dtype).reshape(like.shape))

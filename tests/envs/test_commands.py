@@ -8,9 +8,9 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from skatemount.envs.commands import Commander, toward_board
+from skatemount.envs.commands import CommandGenerator, toward_board
 from skatemount.envs.config.commands import CommandConfig
-from skatemount.envs.geometry import facing
+from skatemount.envs.geometry import board_direction
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.utils.errors import ConfigError
 
@@ -19,8 +19,8 @@ MakeEpisode = Callable[..., EpisodeState]
 STEP = 0.04
 
 
-def commander(generator: torch.Generator | None = None, **settings: object) -> Commander:
-    return Commander(CommandConfig(**settings), STEP, generator or torch.Generator().manual_seed(0))
+def commander(generator: torch.Generator | None = None, **settings: object) -> CommandGenerator:
+    return CommandGenerator(CommandConfig(**settings), STEP, generator or torch.Generator().manual_seed(0))
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_toward_board(
     c, s = math.cos(heading), math.sin(heading)
     board = (1.0 + c * place[0] - s * place[1], 2.0 + s * place[0] + c * place[1], 0.088)
     sim = make_state(base=(1.0, 2.0, 0.3), base_rpy=(0, 0, heading), board=board, board_rpy=(0, 0, heading + yaw))
-    assert toward_board(sim, facing(sim.board_rot_base))[0].tolist() == pytest.approx(expected, abs=2e-6)
+    assert toward_board(sim, board_direction(sim.board_rot_base))[0].tolist() == pytest.approx(expected, abs=2e-6)
 
 
 @pytest.mark.parametrize(("turn_to", "turn"), [("nearer", math.pi - 3.0), ("front", -3.0)])

@@ -12,7 +12,7 @@ from skatemount.config import Config, compose, config_dir
 from skatemount.envs.config.terms import ObservationTerm, RewardTerm
 from skatemount.envs.mirror import mirror_map
 from skatemount.envs.observations import OBSERVATIONS, ObservationTable
-from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.physics.base import StartState
 from skatemount.envs.physics.cpu import CpuPhysics
 from skatemount.envs.rewards import REWARDS, RewardTable
 from skatemount.envs.task import MountTask
@@ -59,7 +59,7 @@ def test_unknown_kind() -> None:
         mirror_map("sideways", 3)
 
 
-def mirrored(start: WorldStart) -> WorldStart:
+def mirrored(start: StartState) -> StartState:
     """What a mirror in the board's xz plane shows of a start."""
     joints = mirror_map("joints", 12)
     return dataclasses.replace(
@@ -111,7 +111,7 @@ def test_mirrored_worlds_stay_mirrored(fixed: bool, where: list[str]) -> None:
     physics = CpuPhysics(task.scene, 2, threads=1)
     mirror_trunk(physics, 1)
     start = task.make_sampler().draw(1, generator)
-    physics.reset(torch.ones(2, dtype=torch.bool), WorldStart.cat([start, mirrored(start)]))
+    physics.reset(torch.ones(2, dtype=torch.bool), StartState.cat([start, mirrored(start)]))
     sim = physics.state()
     episode = mdp.begin(sim)
 
@@ -133,6 +133,6 @@ def test_mirrored_worlds_stay_mirrored(fixed: bool, where: list[str]) -> None:
         outcome = mdp.advance(sim, episode, actions, physics.diverged())
         shares = rewards(sim, episode)
         torch.testing.assert_close(shares[:, 1], shares[:, 0], atol=1e-4, rtol=1e-3)
-        assert torch.equal(outcome.ends[:, 0], outcome.ends[:, 1])
+        assert torch.equal(outcome.termination_flags[:, 0], outcome.termination_flags[:, 1])
     assert touched.all()  # it did meet ground or deck
     physics.close()

@@ -371,8 +371,8 @@ def test_an_episode_may_end_once_the_robot_has_stood_enough(make_env) -> None:
     """As at the time limit, and with success; a robot that stands less goes on."""
     overrides = (*QUIET, "episode_length=3.0", "start.height=[0.0,0.0]")
     ended = {}
-    for enough in (1.2, None):
-        env = make_env("balance", 16, overrides, enough=enough)
+    for max_mounted_time in (1.2, None):
+        env = make_env("balance", 16, overrides, max_mounted_time=max_mounted_time)
         still = TensorDict({"action": torch.zeros(16, 12)}, batch_size=[16])
         env.reset()
         first = torch.zeros(16)
@@ -381,7 +381,7 @@ def test_an_episode_may_end_once_the_robot_has_stood_enough(make_env) -> None:
             over = (after["truncated"] & after["success"]).squeeze(1)
             assert (env.episode.mounted_time[over] >= 1.0 - 0.02).all()
             first = torch.where((first == 0) & over, step * 0.04, first)
-        ended[enough] = first[first > 0]
+        ended[max_mounted_time] = first[first > 0]
     assert len(ended[1.2]) > 0
     assert ended[1.2].min() == pytest.approx(1.2, abs=0.1)
     assert (ended[None] == 3.0).all()

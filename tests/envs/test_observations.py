@@ -14,7 +14,7 @@ from skatemount.config import compose
 from skatemount.envs import MountTask
 from skatemount.envs.commands import toward_board
 from skatemount.envs.config.terms import ObservationTerm
-from skatemount.envs.geometry import facing
+from skatemount.envs.geometry import board_direction
 from skatemount.envs.observations import OBSERVATIONS, ObservationTable
 from skatemount.envs.observations.terms import outline_points
 from skatemount.envs.state import EpisodeState, SimState
@@ -201,7 +201,7 @@ def test_a_board_has_no_front(
     for name in ("board_axes", "outline", "feet_board", "truck_angle", "board_pos"):
         a, b = (one(context, name, sim, make_episode(sim)) for sim in (ahead, round_about))
         np.testing.assert_allclose(a, b, atol=2e-6, err_msg=name)
-    commands = [toward_board(sim, facing(sim.board_rot_base))[0].tolist() for sim in (ahead, round_about)]
+    commands = [toward_board(sim, board_direction(sim.board_rot_base))[0].tolist() for sim in (ahead, round_about)]
     assert commands[0] == pytest.approx(commands[1], abs=1e-5)
 
 
@@ -216,7 +216,7 @@ def test_a_robot_that_sways_across_the_board_sees_it_the_same_way_round(make_sta
     for degrees in (89, 91, 100, 80, 110, 100, 91, 80, 70):
         sim = across(degrees)
         mdp.advance(sim, episode, nothing, torch.zeros(1, dtype=torch.bool))
-        ends.append(int(episode.facing))
+        ends.append(int(episode.board_direction))
         axis = episode.seen.split([part["size"] for part in mdp.observation.layout()], 1)[7]
         assert mdp.observation.names[7] == "board_axes"
         torch.testing.assert_close(axis[:, :3], sim.board_rot_base[..., 0] * ends[-1])

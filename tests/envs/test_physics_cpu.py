@@ -10,7 +10,7 @@ from torch import Tensor
 
 from skatemount.envs import MountTask
 from skatemount.envs.physics import CpuPhysics
-from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.physics.base import StartState
 from skatemount.envs.state import SimState, StateReader
 
 FULL = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -25,7 +25,7 @@ class Loop:
         self.model, self.index = physics.model, physics.index
         self.worlds = [mujoco.MjData(self.model) for _ in range(physics.num_worlds)]
 
-    def reset(self, mask: Tensor, start: WorldStart) -> None:
+    def reset(self, mask: Tensor, start: StartState) -> None:
         index = self.index
         for i in np.flatnonzero(mask):
             data = self.worlds[i]
@@ -75,13 +75,13 @@ class Loop:
 
 
 @pytest.fixture
-def make_physics_and_starts() -> Iterator[Callable[..., tuple[CpuPhysics, Callable[[], WorldStart]]]]:
+def make_physics_and_starts() -> Iterator[Callable[..., tuple[CpuPhysics, Callable[[], StartState]]]]:
     """An engine of a stage, and a source of starts for all its worlds."""
     made: list[CpuPhysics] = []
 
     def make(
         stage: str = "mount", worlds: int = WORLDS, threads: int = 1, overrides: Sequence[str] = ()
-    ) -> tuple[CpuPhysics, Callable[[], WorldStart]]:
+    ) -> tuple[CpuPhysics, Callable[[], StartState]]:
         task = MountTask(stage=stage, overrides=overrides)
         sampler, generator = task.make_sampler(), torch.Generator().manual_seed(0)
         made.append(CpuPhysics(task.scene, worlds, threads))
@@ -107,7 +107,7 @@ def assert_same(a: SimState, b: SimState, rows: Tensor | slice = slice(None)) ->
         assert torch.equal(value[rows], b.get(name)[rows]), name
 
 
-def hold(start: WorldStart) -> Tensor:
+def hold(start: StartState) -> Tensor:
     return start.joint_pos
 
 
@@ -380,7 +380,7 @@ def test_a_world_can_be_looked_at_with_its_visuals(make_physics_and_starts) -> N
     physics.reset(everywhere(), starts())
     state = physics.state()
     for i in (0, 2):
-        model, data = physics.world(i)
+        model, data = physics.render_data(i)
         assert model.ngeom > physics.model.ngeom
         np.testing.assert_allclose(data.site("a1/FL_foot").xpos, state.foot_pos[i, 1], atol=1e-6)
         np.testing.assert_allclose(data.site("board/deck").xpos, state.board_pos[i], atol=1e-6)

@@ -12,15 +12,15 @@ from mujoco_warp import OverflowType
 from tiny import TINY
 from torch import Tensor
 
-from skatemount.agents.agent import Agent
+from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import compose
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.config.physics import PhysicsConfig
-from skatemount.envs.physics.base import Physics, WorldStart
+from skatemount.envs.physics.base import Physics, StartState
 from skatemount.envs.physics.factory import make_physics
 from skatemount.envs.randomization import Randomizer
 from skatemount.envs.state import SimState
-from skatemount.evaluation.suite_task import Trial, load_suite
+from skatemount.evaluation.suite_task import EvaluationTask, load_suite
 from skatemount.profiling.measure import measure_point
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
@@ -65,12 +65,12 @@ def warp(task: MountTask) -> Iterator[Physics]:
     physics.close()
 
 
-def starts(task: MountTask, n: int = WORLDS, seed: int = 0) -> WorldStart:
+def starts(task: MountTask, n: int = WORLDS, seed: int = 0) -> StartState:
     return task.make_sampler().draw(n, torch.Generator().manual_seed(seed))
 
 
-def to(start: WorldStart, device: str) -> WorldStart:
-    return WorldStart(**{name: value.to(device) for name, value in vars(start).items()})
+def to(start: StartState, device: str) -> StartState:
+    return StartState(**{name: value.to(device) for name, value in vars(start).items()})
 
 
 def everywhere(n: int = WORLDS) -> Tensor:
@@ -282,10 +282,10 @@ def test_without_the_packages_it_says_what_to_install(task: MountTask, monkeypat
 
 def test_a_policy_succeeds_as_often_on_both_engines(capsys: pytest.CaptureFixture[str]) -> None:
     """Sim to sim: the same starts, the same worlds, another engine."""
-    agent, results = Agent.load("pretrained:unfixed"), {}
+    agent, results = TrainedPolicy.load("pretrained:unfixed"), {}
     for name in ("cpu", "warp"):
         asked = [f"physics.engine={name}", "physics.num_worlds=48"]
-        results[name] = Trial.of(agent, load_suite("approach-unfixed"), asked).evaluate(48)
+        results[name] = EvaluationTask.of(agent, load_suite("approach-unfixed"), asked).evaluate(48)
     with capsys.disabled():
         for name, result in results.items():
             print(f"\n{name}: {result.successes} of {result.episodes}, interval {result.interval}")

@@ -151,7 +151,7 @@ CASES: list[tuple[str, dict, dict, dict, float]] = [
     ("mounted", {"ramp": 2.0}, {}, {"mounted_time": 0.0}, 0),
     ("all_feet_on_board", {}, {"body_force": [9] * 13}, {"on_deck": [1, 1, 1, 1]}, 1),
     ("all_feet_on_board", {}, {}, {"on_deck": [1, 1, 0, 1]}, 0),
-    ("all_feet_on_board", {}, {}, {"on_deck": [1, 1, 1, 1], "elsewhere": 1}, 0),
+    ("all_feet_on_board", {}, {}, {"on_deck": [1, 1, 1, 1], "foot_off_deck_contact": 1}, 0),
     ("feet_proximity", {}, FEET, {}, 1),
     # 3 and 4 cm beyond the margin, on the ground: 5 cm aside and 8.8 cm below.
     (

@@ -12,14 +12,14 @@ from skatemount.config import compose, stages
 from skatemount.envs import MountTask
 from skatemount.envs.config.starts import StartConfig
 from skatemount.envs.physics import CpuPhysics
-from skatemount.envs.physics.base import WorldStart
-from skatemount.envs.starts import Placement, StartQueue
+from skatemount.envs.physics.base import StartState
+from skatemount.envs.starts import StartPoses, StartQueue
 from skatemount.utils.errors import ConfigError
 
 STARTS = 1500
 
 
-def draw(stage: str, overrides: Sequence[str] = (), count: int = STARTS, seed: int = 0) -> tuple[MountTask, WorldStart]:
+def draw(stage: str, overrides: Sequence[str] = (), count: int = STARTS, seed: int = 0) -> tuple[MountTask, StartState]:
     task = MountTask(config=compose(stage, overrides))
     return task, task.make_sampler().draw(count, torch.Generator().manual_seed(seed))
 
@@ -27,7 +27,7 @@ def draw(stage: str, overrides: Sequence[str] = (), count: int = STARTS, seed: i
 class Reset:
     """An engine that has been reset to starts: its state and, for every world, the robot's deepest contact."""
 
-    def __init__(self, task: MountTask, start: WorldStart):
+    def __init__(self, task: MountTask, start: StartState):
         n = len(start)
         physics = CpuPhysics(task.scene, n, threads=1)
         physics.reset(torch.ones(n, dtype=torch.bool), start)
@@ -68,16 +68,16 @@ CASES += [
 
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda case: " ".join((case[0], *case[1])))
-def reset(request: pytest.FixtureRequest) -> Iterator[tuple[MountTask, WorldStart, Reset]]:
+def reset(request: pytest.FixtureRequest) -> Iterator[tuple[MountTask, StartState, Reset]]:
     task, start = draw(*request.param)
     yield task, start, Reset(task, start)
 
 
-def test_a_start_never_interpenetrates(reset: tuple[MountTask, WorldStart, Reset]) -> None:
+def test_a_start_never_interpenetrates(reset: tuple[MountTask, StartState, Reset]) -> None:
     assert reset[2].depth.max() < 1e-3
 
 
-def test_the_lowest_foot_is_as_high_above_its_support_as_asked(reset: tuple[MountTask, WorldStart, Reset]) -> None:
+def test_the_lowest_foot_is_as_high_above_its_support_as_asked(reset: tuple[MountTask, StartState, Reset]) -> None:
     task, _, state = reset
     low, high = task.config.start.height
     lowest = gaps(task, state).amin(1)
@@ -86,13 +86,13 @@ def test_the_lowest_foot_is_as_high_above_its_support_as_asked(reset: tuple[Moun
     assert lowest.max() - lowest.min() > 0.8 * (high - low)
 
 
-def test_joints_start_within_their_limits(reset: tuple[MountTask, WorldStart, Reset]) -> None:
+def test_joints_start_within_their_limits(reset: tuple[MountTask, StartState, Reset]) -> None:
     _, start, state = reset
     assert (start.joint_pos >= state.joint_range[:, 0]).all()
     assert (start.joint_pos <= state.joint_range[:, 1]).all()
 
 
-def test_no_foot_starts_near_the_decks_edge(reset: tuple[MountTask, WorldStart, Reset]) -> None:
+def test_no_foot_starts_near_the_decks_edge(reset: tuple[MountTask, StartState, Reset]) -> None:
     task, _, state = reset
     board, margin = task.config.board, task.config.start.edge_margin
     foot = state.sim.foot_pos[..., :2].abs()
@@ -102,7 +102,7 @@ def test_no_foot_starts_near_the_decks_edge(reset: tuple[MountTask, WorldStart, 
     assert torch.where(inside > 0, inside, outside).min() >= margin - 1e-5
 
 
-def test_the_physics_holds_what_was_drawn(reset: tuple[MountTask, WorldStart, Reset]) -> None:
+def test_the_physics_holds_what_was_drawn(reset: tuple[MountTask, StartState, Reset]) -> None:
     _, start, state = reset
     for name in ("base_pos", "joint_pos", "joint_vel", "ground_height", "board_fixed"):
         torch.testing.assert_close(getattr(state.sim, name), getattr(start, name), atol=1e-6, rtol=1e-6)
@@ -236,10 +236,10 @@ def test_the_queue_hands_out_every_start_in_the_order_of_drawing() -> None:
 
 
 def test_a_curriculum_may_leave_some_starts_to_the_stages_own_ranges() -> None:
-    def far_away(n: int, generator: torch.Generator) -> Placement:
+    def far_away(n: int, generator: torch.Generator) -> StartPoses:
         rows = torch.arange(n)
         xy, fixed = torch.tensor([[5.0, 5.0]]).expand(n, 2), torch.ones(n, dtype=torch.bool)
-        return Placement(xy, torch.ones(n), torch.full((n,), 0.05), fixed, rows, own=rows % 2 == 0)
+        return StartPoses(xy, torch.ones(n), torch.full((n,), 0.05), fixed, rows, from_stage_ranges=rows % 2 == 0)
 
     task = MountTask(config=compose("unfixed"))
     start = task.make_sampler(far_away).draw(100, torch.Generator().manual_seed(0))

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from skatemount.envs import MountEnv, MountTask
-from skatemount.envs.mdp import Mdp, Outcome
+from skatemount.envs.mdp import Mdp, StepResult
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.success import (
     body_contacts,
@@ -130,9 +130,9 @@ def test_an_episode_knows_whether_a_foot_is_elsewhere(sim: SimState) -> None:
     beside = sim.clone()
     beside.foot_other_force[:, 2, 2] = 5.0
     course = Course(beside)
-    assert course.episode.elsewhere.all() and not course.go(beside)
-    assert course.go(sim) and not course.episode.elsewhere.any()
-    assert not course.go(beside) and course.episode.elsewhere.all()
+    assert course.episode.foot_off_deck_contact.all() and not course.go(beside)
+    assert course.go(sim) and not course.episode.foot_off_deck_contact.any()
+    assert not course.go(beside) and course.episode.foot_off_deck_contact.all()
 
 
 def test_worlds_are_judged_one_by_one(sim: SimState) -> None:
@@ -153,7 +153,7 @@ class Course:
     def __init__(self, sim: SimState, *overrides: str):
         self.mdp: Mdp = task(*overrides).make_mdp(torch.Generator())
         self.every = torch.ones(1, dtype=torch.bool)
-        self.outcome: Outcome
+        self.outcome: StepResult
         self.episode: EpisodeState = self.mdp.begin(sim)
 
     def go(self, sim: SimState, steps: int = 1) -> bool:

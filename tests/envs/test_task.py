@@ -10,7 +10,7 @@ from dm_control import composer
 from tensordict import TensorDict
 
 from skatemount.envs import MountEnv, MountTask
-from skatemount.envs.physics.base import WorldStart
+from skatemount.envs.physics.base import StartState
 from skatemount.envs.starts import StartSampler
 from skatemount.utils.errors import ConfigError
 
@@ -26,11 +26,11 @@ def composer_env(stage: str, overrides: list[str], seed: int = 0) -> composer.En
     )
 
 
-def give_starts(monkeypatch: pytest.MonkeyPatch, starts: WorldStart) -> Callable[[], None]:
+def give_starts(monkeypatch: pytest.MonkeyPatch, starts: StartState) -> Callable[[], None]:
     """Let every sampler hand out these starts, one batch environment taking all, composer one after the other."""
     taken = iter(range(len(starts)))
 
-    def draw(self: StartSampler, count: int, generator: torch.Generator) -> WorldStart:
+    def draw(self: StartSampler, count: int, generator: torch.Generator) -> StartState:
         if count > 1:
             return starts
         i = next(taken)
@@ -39,7 +39,7 @@ def give_starts(monkeypatch: pytest.MonkeyPatch, starts: WorldStart) -> Callable
     monkeypatch.setattr(StartSampler, "draw", draw)
 
 
-class Agent:
+class TrainedPolicy:
     """Small random targets that change slowly, so that a robot stays up for a while and moves all the same."""
 
     def __init__(self, worlds: int, size: float):
@@ -82,7 +82,7 @@ def test_one_world_agrees_with_the_batch(monkeypatch: pytest.MonkeyPatch, make_e
     batch = env.reset()
     first = batch.clone()
     assert (env.sim.foot_deck_force[0] + env.sim.foot_other_force[0]).abs().sum() > 1
-    agent = Agent(worlds, size)
+    agent = TrainedPolicy(worlds, size)
     trajectory = []
     for _ in range(length):
         step, batch = env.step_and_maybe_reset(batch.set("action", agent.act()))

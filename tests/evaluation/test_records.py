@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from skatemount.envs.mdp import Outcome
+from skatemount.envs.mdp import StepResult
 from skatemount.envs.state import EpisodeState
 from skatemount.evaluation.records import EpisodeRecords, Recorder, power, sliding
 
@@ -53,7 +53,7 @@ class Script:
         terminated = ends.any(0)
         truncated = (self.episode.step >= STEPS) & ~terminated
         nothing = torch.zeros(2)
-        outcome = Outcome(nothing, nothing.unsqueeze(0), ends, terminated, truncated, truncated)
+        outcome = StepResult(nothing, nothing.unsqueeze(0), ends, terminated, truncated, truncated)
         self.recorder.add(self.episode, outcome, terminated | truncated)
 
 

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 import torch
 
-from skatemount.agents.agent import MODULE, Agent, make_card
+from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
 from skatemount.config import Config, compose, to_dict
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import NUM_WORLDS
-from skatemount.evaluation.suite_task import Trial, trial_config
+from skatemount.evaluation.suite_task import EvaluationTask, evaluation_config
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.runs.checkpoint import save_policy
 from skatemount.utils.errors import ConfigError
@@ -39,7 +39,7 @@ def policy() -> Config:
 
 
 def test_without_suite_it_is_what_the_policy_was_trained_in(policy: Config) -> None:
-    trial, expected = to_dict(trial_config(policy, None)), to_dict(policy)
+    trial, expected = to_dict(evaluation_config(policy, None)), to_dict(policy)
     # Except for what belongs to the machine.
     expected["physics"] |= {"threads": 0, "num_worlds": NUM_WORLDS, "device": "auto", "max_contacts": 48}
     assert trial == expected
@@ -50,7 +50,7 @@ def suite(stage: str, *overrides: str, **more: Any) -> SuiteConfig:
 
 
 def test_a_suite_sets_the_task_and_keeps_what_is_the_policys(policy: Config) -> None:
-    trial, stage = trial_config(policy, suite("unfixed")), compose("unfixed")
+    trial, stage = evaluation_config(policy, suite("unfixed")), compose("unfixed")
     assert (trial.start, trial.board, trial.reward) == (stage.start, stage.board, stage.reward)
     assert (trial.episode_length, trial.stage.name) == (6.0, "unfixed")
     assert (trial.robot, trial.observation) == (policy.robot, policy.observation)
@@ -61,43 +61,43 @@ def test_a_suite_sets_the_task_and_keeps_what_is_the_policys(policy: Config) -> 
 def test_the_user_has_the_last_word_then_the_variant_then_the_suite(policy: Config) -> None:
     changes = ["board=longboard", "episode_length=10", "start.x=[0,1]", "termination.tilt.params.degrees=9"]
     test = suite("unfixed", *changes)
-    trial = trial_config(policy, test, ["start.x=[0,2]", "board.mass=4.5"], variant=["board.deck_width=0.3"])
+    trial = evaluation_config(policy, test, ["start.x=[0,2]", "board.mass=4.5"], variant=["board.deck_width=0.3"])
     assert (trial.episode_length, trial.start.x, trial.start.y) == (10.0, [0.0, 2.0], [0.5, 1.0])
     assert (trial.board.deck_length, trial.board.deck_width, trial.board.mass) == (1.0, 0.3, 4.5)
     assert trial.termination["tilt"].params["degrees"] == 9
     # The suite's board is replaced, not mixed with the user's.
-    assert trial_config(policy, test, ["board=mini"]).board == compose(None, ["board=mini"]).board
+    assert evaluation_config(policy, test, ["board=mini"]).board == compose(None, ["board=mini"]).board
 
 
 def test_overrides_come_on_top_setting_by_setting(policy: Config) -> None:
     overrides = ["start.y=[0.1,0.2]", "physics.threads=1", "physics.num_worlds=9", "~reward.alive"]
-    trial = trial_config(policy, None, overrides)
+    trial = evaluation_config(policy, None, overrides)
     assert (trial.start.y, trial.start.x) == ([0.1, 0.2], [-0.01, 0.01])
     assert (trial.physics.threads, trial.physics.num_worlds) == (1, 9)
     assert "alive" not in trial.reward
     assert trial.robot.kp == 28
     # One that repeats a default counts too, where the policy's setting is another.
-    assert trial_config(policy, None, ["robot.kp=35"]).robot.kp == 35
+    assert evaluation_config(policy, None, ["robot.kp=35"]).robot.kp == 35
 
 
 def test_a_group_is_taken_whole_as_the_stage_composes_it(policy: Config) -> None:
-    longboard = trial_config(policy, None, ["board=longboard", "board.mass=4"]).board
+    longboard = evaluation_config(policy, None, ["board=longboard", "board.mass=4"]).board
     assert longboard == compose(None, ["board=longboard", "board.mass=4"]).board
-    start = trial_config(policy, suite("unfixed"), ["start=near"]).start
+    start = evaluation_config(policy, suite("unfixed"), ["start=near"]).start
     assert (start.x, start.board_fixed) == ([-1.0, 1.0], 0.0)
 
 
 def test_a_policy_without_commands_gets_none_elsewhere() -> None:
     blind = compose("mount", ["command=zero"])
-    assert trial_config(blind, suite("approach")).command.mode == "zero"
-    assert trial_config(blind, suite("approach"), ["command=board"]).command.mode == "board"
+    assert evaluation_config(blind, suite("approach")).command.mode == "zero"
+    assert evaluation_config(blind, suite("approach"), ["command=board"]).command.mode == "board"
     # But standing still must not pass for following commands.
-    assert trial_config(blind, suite("gait")).command.mode == "sampled"
+    assert evaluation_config(blind, suite("gait")).command.mode == "sampled"
 
 
 def test_the_policys_configuration_is_left_alone(policy: Config) -> None:
     before = to_dict(policy)
-    trial_config(policy, suite("gait"), ["robot.kp=20", "observation.noise=false"])
+    evaluation_config(policy, suite("gait"), ["robot.kp=20", "observation.noise=false"])
     assert to_dict(policy) == before
 
 
@@ -112,7 +112,7 @@ def test_the_policys_configuration_is_left_alone(policy: Config) -> None:
 )
 def test_mistakes_are_one_line(policy: Config, override: str, said: str) -> None:
     with pytest.raises(ConfigError) as error:
-        trial_config(policy, None, [override])
+        evaluation_config(policy, None, [override])
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -123,13 +123,13 @@ def path(policy: Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
     mdp = task.make_mdp(torch.Generator())
     networks = ActorCritic(policy.network, mdp.observation.size, mdp.privileged.size)
     path = tmp_path_factory.mktemp("policies") / "p.safetensors"
-    save_policy(path, {MODULE: networks}, make_card(policy, task, 77))
+    save_policy(path, {MODULE: networks}, make_policy_card(policy, task, 77))
     return path
 
 
-def prepare(path: Path, *overrides: str) -> list[Trial]:
+def prepare(path: Path, *overrides: str) -> list[EvaluationTask]:
     asked = [f"checkpoint={path}", *overrides]
-    return Trial.prepare(compose(None, asked), asked)
+    return EvaluationTask.prepare(compose(None, asked), asked)
 
 
 def test_a_trial_knows_what_is_tried(path: Path) -> None:
@@ -162,9 +162,9 @@ def test_a_suite_of_suites_is_a_trial_each(path: Path) -> None:
 
 
 def test_variants_take_turns_and_an_episode_is_the_same_however_many_there_are(path: Path) -> None:
-    agent = Agent.load(str(path))
+    agent = TrainedPolicy.load(str(path))
     test = suite("balance", "episode_length=0.4", variants={"a": ["start.x=[0,0.01]"], "b": ["start.x=[-0.5,-0.4]"]})
-    trial = Trial.of(agent, test, ["physics.num_worlds=3", "physics.threads=1"])
+    trial = EvaluationTask.of(agent, test, ["physics.num_worlds=3", "physics.threads=1"])
     shares: list[tuple[float, str]] = []
     few, many = trial.evaluate(5, lambda *x: shares.append(x)), trial.evaluate(9)
     assert few.records.number.tolist() == list(range(5))

@@ -12,10 +12,11 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from skatemount import config as configuration
-from skatemount.agents.agent import Agent
+from skatemount.agents.trained_policy import TrainedPolicy
+from skatemount.config.versions import upgrade
 from skatemount.envs import MountEnv, MountTask
-from skatemount.envs.physics.base import WorldStart
-from skatemount.evaluation.suite_task import Trial, load_suite, trial_config
+from skatemount.envs.physics.base import StartState
+from skatemount.evaluation.suite_task import EvaluationTask, evaluation_config, load_suite
 from skatemount.losses.ppo import PPO
 from skatemount.training.trainer import make_networks
 
@@ -31,10 +32,10 @@ def settings(line: str) -> dict[str, Any]:
 
 def suite_settings(suite: str, policy: str) -> dict[str, dict[str, Any]]:
     """Return the settings by variant in which a suite evaluates a shipped policy."""
-    agent, found = Agent.load(f"pretrained:{policy}"), load_suite(suite)
+    agent, found = TrainedPolicy.load(f"pretrained:{policy}"), load_suite(suite)
     variants = found.variants or {"": []}
     return {
-        name: configuration.to_dict(trial_config(agent.config, found, [], variant=each))
+        name: configuration.to_dict(evaluation_config(agent.config, found, [], variant=each))
         for name, each in variants.items()
     }
 
@@ -46,19 +47,19 @@ def compiled_model(line: str) -> mujoco.MjModel:
 
 def episodes(suite: str, count: int) -> tuple[dict[str, np.ndarray], list[str]]:
     """Return the records of a suite's first episodes with `pretrained:best`, and the names of their ends."""
-    result = Trial.of(Agent.load("pretrained:best"), load_suite(suite)).evaluate(count)
+    result = EvaluationTask.of(TrainedPolicy.load("pretrained:best"), load_suite(suite)).evaluate(count)
     return {name: value.numpy() for name, value in vars(result.records).items()}, result.ends
 
 
 def policy_size(spec: str) -> int:
     """Return how many values a policy observes."""
-    card = Agent.load(spec).card
+    card = TrainedPolicy.load(spec).card
     return sum(part["size"] for part in card.observation if part["key"] == "observation")
 
 
 def policy_actions(spec: str, observation: np.ndarray) -> np.ndarray:
     """Return a policy's deterministic actions, ``[N, 12]``."""
-    actor = Agent.load(spec).policy.actor
+    actor = TrainedPolicy.load(spec).policy.actor
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         return actor(TensorDict(observation=torch.from_numpy(observation), batch_size=[len(observation)]))[
             "action"
@@ -80,7 +81,7 @@ def control_step(line: str, given: dict[str, np.ndarray]) -> dict[str, np.ndarra
     n = len(given["action"])
     env = MountEnv(MountTask(config=_compose(line)), num_worlds=n, threads=1)
     given_start = {k.removeprefix("start."): torch.from_numpy(v) for k, v in given.items() if k.startswith("start.")}
-    start = WorldStart(**given_start)
+    start = StartState(**given_start)
     action = torch.from_numpy(given["action"])
     env.mdp.generator.manual_seed(3)
     env.physics.reset(torch.ones(n, dtype=torch.bool), start)
@@ -92,7 +93,7 @@ def control_step(line: str, given: dict[str, np.ndarray]) -> dict[str, np.ndarra
     outcome = env.mdp.advance(sim, episode, action, env.physics.diverged())
     observation, privileged = env.mdp.observe(sim, episode)
     made = {"first_observation": first, "observation": observation, "privileged": privileged}
-    made |= {"reward": outcome.reward, "reward_terms": outcome.shares, "terminations": outcome.ends}
+    made |= {"reward": outcome.reward, "reward_terms": outcome.reward_terms, "terminations": outcome.termination_flags}
     made |= {f"sim.{name}": getattr(sim, name) for name in sim.keys()}
     env.close(raise_if_closed=False)
     return {name: value.numpy() for name, value in made.items()}
@@ -133,7 +134,7 @@ def update(line: str, given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def translate(values: dict[str, Any]) -> dict[str, Any]:
     """Return settings that an older version composed, under today's names."""
-    return values
+    return upgrade(values, 1)
 
 
 def _as_tuple(key: str | tuple[str, ...]) -> tuple[str, ...]:
@@ -142,4 +143,4 @@ def _as_tuple(key: str | tuple[str, ...]) -> tuple[str, ...]:
 
 def policy_file(name: str) -> Path:
     """Return where the weights of a shipped policy are."""
-    return Agent.load(f"pretrained:{name}").path
+    return TrainedPolicy.load(f"pretrained:{name}").path

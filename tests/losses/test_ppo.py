@@ -71,7 +71,7 @@ def same(a: dict[str, Tensor], b: dict[str, Tensor]) -> bool:
 @pytest.mark.parametrize("ends", [0.0, 0.15])
 def test_advantages_equal_a_plain_loop(ends: float) -> None:
     """A time-out is bootstrapped from the state in which it happened, a termination from nothing."""
-    ppo = make(horizon=0.5, trace=0.2)
+    ppo = make(discount_horizon=0.5, gae_horizon=0.2)
     batch = collect(ppo.networks, ends=ends)
     if ends:
         # Both kinds, in the middle and at the end of the batch.
@@ -190,26 +190,26 @@ def test_exploration_calms_down() -> None:
 
     config, first = ppo.networks.config, deviation()
     share = (first - config.min_std) / (config.max_std - config.min_std)
-    ppo.calm_down(0, 10**9)
+    ppo.step_schedules(0, 10**9)
     assert deviation() == pytest.approx(first)
     for frames, bound in ((500, math.sqrt(config.max_std * 0.1)), (2000, 0.1)):
-        ppo.calm_down(frames, 10**9)
+        ppo.step_schedules(frames, 10**9)
         assert deviation() == pytest.approx(config.min_std + share * (bound - config.min_std), rel=1e-5)
     # A policy that is handed over keeps its calm.
     other = make(copy.deepcopy(ppo.networks), final_std=0.1, std_frames=1000)
-    other.calm_down(0, 10**9)
+    other.step_schedules(0, 10**9)
     assert deviation() == pytest.approx(config.min_std + share * (0.1 - config.min_std), rel=1e-5)
     still = make()
-    still.calm_down(10**9, 10**9)
+    still.step_schedules(10**9, 10**9)
     assert still.networks.state_dict().keys() == ppo.networks.state_dict().keys()
 
 
 def test_steps_become_small_at_the_end() -> None:
     # The KL of an update is far between the targets of before and after: the rate is raised early, lowered late.
-    settings = dict(learning_rate=1e-3, target_kl=1e3, final_kl=1e-9, settle=0.5)
+    settings = dict(learning_rate=1e-3, target_kl=1e3, final_target_kl=1e-9, kl_anneal_fraction=0.5)
     for frames, raised in ((0, True), (500, True), (1000, False), (2000, False)):
         ppo = make(**settings)
-        ppo.calm_down(frames, 1000)
+        ppo.step_schedules(frames, 1000)
         ppo.update(collect(ppo.networks))
         assert (ppo.learning_rate > 1e-3) == raised and (ppo.learning_rate < 1e-3) != raised
 
@@ -217,10 +217,13 @@ def test_steps_become_small_at_the_end() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        (dict(final_kl=0.0), r"algorithm\.final_kl=0\.0 must be above 0"),
-        (dict(final_kl=0.01, target_kl=None), r"algorithm\.final_kl=0\.01 needs algorithm\.target_kl"),
-        (dict(final_kl=0.02, target_kl=0.01), r"algorithm\.final_kl=0\.02 must be at most algorithm\.target_kl=0\.01"),
-        (dict(settle=1.5), r"algorithm\.settle=1\.5 must be a share of the frames, at most 1"),
+        (dict(final_target_kl=0.0), r"algorithm\.final_target_kl=0\.0 must be above 0"),
+        (dict(final_target_kl=0.01, target_kl=None), r"algorithm\.final_target_kl=0\.01 needs algorithm\.target_kl"),
+        (
+            dict(final_target_kl=0.02, target_kl=0.01),
+            r"algorithm\.final_target_kl=0\.02 must be at most algorithm\.target_kl=0\.01",
+        ),
+        (dict(kl_anneal_fraction=1.5), r"algorithm\.kl_anneal_fraction=1\.5 must be a share of the frames, at most 1"),
     ],
 )
 def test_an_end_that_cannot_be_settled_is_refused(settings: dict[str, Any], message: str) -> None:
@@ -310,7 +313,7 @@ def test_gentle_start_changes_a_trained_policy_little() -> None:
         networks = make_networks(init_std=0.1)
         ppo = make(networks, min_learning_rate=1e-5)
         if gently:
-            ppo.start_gently()
+            ppo.use_min_learning_rate()
         return ppo.update(collect(networks))["Loss/kl"]
 
     assert first_kl(gently=True) < 0.5 * first_kl(gently=False)

@@ -129,7 +129,7 @@ def test_normaliser_equals_the_statistics_of_all_it_has_seen() -> None:
 def test_normaliser_that_sees_more_than_the_one_it_takes_over() -> None:
     old, new, alone = RunningNormalizer(1), RunningNormalizer(3), RunningNormalizer(3)
     old.observe(torch.tensor([[1.0], [3.0]]).repeat(500_000, 1))
-    new.take_over(old, torch.tensor([1]))
+    new.inherit(old, torch.tensor([1]))
     generator = torch.Generator().manual_seed(0)
     for values in (torch.ones(50, 3), 8 + torch.rand(500, 3, generator=generator), torch.zeros(100, 3)):
         new.observe(values)

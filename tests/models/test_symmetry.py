@@ -14,7 +14,7 @@ from skatemount.losses.config import AlgorithmConfig
 from skatemount.losses.ppo import PPO
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.models.config import NetworkConfig
-from skatemount.models.symmetry import Mirror, SymmetricLinear, SymmetricMLP
+from skatemount.models.symmetry import EquivariantLinear, EquivariantMLP, Mirror
 
 SEEN = Mirror(torch.tensor([0, 2, 1, 3, 5, 4]), torch.tensor([1.0, -1, -1, 1, 1, 1]))
 HIDDEN = Mirror(torch.arange(3), torch.tensor([1.0, -1, 1]))
@@ -104,7 +104,7 @@ def test_layer_starts_as_wide_as_a_plain_one(after: Mirror) -> None:
     torch.manual_seed(0)
     size = 400
     plain = torch.nn.Linear(size, 8).weight.detach().std()
-    layer = SymmetricLinear(Mirror.halves(size), after)
+    layer = EquivariantLinear(Mirror.halves(size), after)
     with torch.no_grad():
         own = (layer(torch.eye(size)) - layer(torch.zeros(1, size))).std()
     assert float(own / plain) == pytest.approx(1.0, rel=0.1)
@@ -113,7 +113,7 @@ def test_layer_starts_as_wide_as_a_plain_one(after: Mirror) -> None:
 @pytest.mark.parametrize("after", [ACTS, Mirror.same(1)])
 def test_even_and_odd_parts_give_what_whole_layers_give(after: Mirror) -> None:
     torch.manual_seed(0)
-    mlp = SymmetricMLP(SEEN, after, [8, 4], torch.nn.ELU)
+    mlp = EquivariantMLP(SEEN, after, [8, 4], torch.nn.ELU)
     x, y = torch.randn(2, 50, 6, requires_grad=True), torch.randn(2, 50, len(after.signs))
     expected = nn.Sequential.forward(mlp, x)
     torch.testing.assert_close(mlp(x), expected)

@@ -14,7 +14,7 @@ from skatemount.cli import _check_program
 from skatemount.config import compose
 from skatemount.profiling import report
 from skatemount.profiling.measure import FIGURES, Measured, Point, measure_point
-from skatemount.profiling.workload import Workload
+from skatemount.profiling.workload import BenchWorkload
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
@@ -53,7 +53,7 @@ def test_tables_and_picture(tmp_path: Path) -> None:
 
 def test_raw_physics_leaves_the_training_where_it_was(tmp_path: Path) -> None:
     trainer = Trainer(compose("mount", [*TINY, "init_from=null", f"logger.root={tmp_path}"]))
-    workload = Workload(trainer)
+    workload = BenchWorkload(trainer)
     env, left = trainer.env, []
     step = env.step_and_maybe_reset
 

@@ -9,7 +9,7 @@ import pytest
 from tiny import SILENT, TINY
 
 from skatemount.config import compose
-from skatemount.profiling.stopwatch import COLLECTING, LEARNING, Stopwatch, watch
+from skatemount.profiling.stopwatch import COLLECTING, LEARNING, Stopwatch, profile_trainer
 from skatemount.training.trainer import Trainer
 
 
@@ -60,7 +60,7 @@ def test_every_part_of_a_training_is_timed_and_left_as_it_was(tmp_path: Path) ->
     iterations = trainer.iterations()
     watched = [(trainer.env.physics, "step"), (trainer.env.mdp, "observation"), (trainer.ppo, "_step")]
     before = [getattr(owner, name) for owner, name in watched]
-    with watch(trainer) as stopwatch:
+    with profile_trainer(trainer) as stopwatch:
         while "reset" not in stopwatch.spent or "update" not in stopwatch.spent:
             next(iterations)
     assert set(stopwatch.spent) == {*COLLECTING, *LEARNING}

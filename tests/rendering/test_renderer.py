@@ -14,19 +14,19 @@ from skatemount.rendering.renderer import (
     GROUND,
     LABEL_ROOM,
     MARGIN,
-    Moment,
-    choose_moments,
+    Frame,
+    choose_frames,
+    draw_overlay,
     filmstrip,
     frame_camera,
-    label,
 )
 
 
-def moment(time: float = 0.0, mounted: bool = False, deck: str = "0000", touching: str = "0000") -> Moment:
+def moment(time: float = 0.0, mounted: bool = False, deck: str = "0000", touching: str = "0000") -> Frame:
     def flags(text: str) -> list[bool]:
         return [c == "1" for c in text]
 
-    return Moment(time, flags(deck), flags(touching), mounted, np.zeros(0), np.zeros((0, 3)))
+    return Frame(time, flags(deck), flags(touching), mounted, np.zeros(0), np.zeros((0, 3)))
 
 
 def project(camera: object, points: np.ndarray, aspect: float) -> np.ndarray:
@@ -61,28 +61,28 @@ def count(picture: Image.Image, colour: tuple[int, int, int]) -> int:
 
 def test_the_label_shows_each_foot() -> None:
     picture = Image.new("RGB", (640, 480), (120, 10, 10))
-    pixels = [count(label(picture, moment(deck=deck)), DECK) for deck in ("0000", "0100", "1111")]
+    pixels = [count(draw_overlay(picture, moment(deck=deck)), DECK) for deck in ("0000", "0100", "1111")]
     assert pixels[0] == 0 < pixels[1]
     assert pixels[2] == pytest.approx(4 * pixels[1], rel=0.1)
-    touching = label(picture, moment(deck="1000", touching="1100"))
+    touching = draw_overlay(picture, moment(deck="1000", touching="1100"))
     assert count(touching, GROUND) > 0.5 * count(touching, DECK) > 0
 
 
 def test_the_label_stays_within_a_picture_that_is_left_as_it_was() -> None:
     picture = Image.new("RGB", (640, 480), (120, 10, 10))
-    result = label(picture, moment(12.34, mounted=True, deck="1111"))
+    result = draw_overlay(picture, moment(12.34, mounted=True, deck="1111"))
     assert result.size == picture.size
     assert count(picture, (120, 10, 10)) == 640 * 480
     changed = np.argwhere((np.asarray(result) != (120, 10, 10)).any(-1))
     assert changed.min(0)[0] > 0.7 * 480
     assert 0 < changed.min() and changed.max(0)[0] < 479 and changed.max(0)[1] < 639
-    plain = label(picture, moment(12.34, deck="1111"))
+    plain = draw_overlay(picture, moment(12.34, deck="1111"))
     assert count(result, DECK) > count(plain, DECK)  # the word
 
 
 def test_a_filmstrip_shows_the_mounting_closely() -> None:
     episode = [moment(i * 0.1, mounted=i >= 16) for i in range(101)]
-    chosen = choose_moments(episode)
+    chosen = choose_frames(episode)
     assert len(chosen) == 6
     assert (chosen[0], chosen[-1]) == (0, 100)
     assert chosen[-2] == 21  # half a second after it
@@ -91,12 +91,12 @@ def test_a_filmstrip_shows_the_mounting_closely() -> None:
 def test_a_filmstrip_of_a_failure_is_even() -> None:
     # Mounted for a while, but not in the end.
     episode = [moment(i * 0.1, mounted=20 < i < 40) for i in range(51)]
-    assert choose_moments(episode) == [0, 10, 20, 30, 40, 50]
+    assert choose_frames(episode) == [0, 10, 20, 30, 40, 50]
 
 
 def test_short_episodes_show_each_moment_once() -> None:
-    assert choose_moments([moment(i * 0.1) for i in range(3)]) == [0, 1, 2]
-    assert choose_moments([moment(i * 0.1, mounted=True) for i in range(2)]) == [0, 1]
+    assert choose_frames([moment(i * 0.1) for i in range(3)]) == [0, 1, 2]
+    assert choose_frames([moment(i * 0.1, mounted=True) for i in range(2)]) == [0, 1]
 
 
 def test_filmstrip_goes_row_by_row() -> None:

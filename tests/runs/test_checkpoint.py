@@ -16,7 +16,7 @@ import torch
 from skatemount.runs import atomic
 from skatemount.runs.checkpoint import (
     POLICY_FILE,
-    Card,
+    PolicyCard,
     is_checkpoint,
     keep_last,
     list_checkpoints,
@@ -31,9 +31,9 @@ from skatemount.runs.serialization import load_state, save_state
 from skatemount.utils.errors import ConfigError
 
 
-def card(**changes: Any) -> Card:
+def card(**changes: Any) -> PolicyCard:
     fields = {"stage": "balance", "config": {"seed": 1, "scale": [0.25, 1e-5], "none": None}}
-    return Card(**{**fields, **changes})
+    return PolicyCard(**{**fields, **changes})
 
 
 def network(value: float = 0.5) -> torch.nn.Module:
@@ -100,14 +100,14 @@ def test_policy_round_trip(tmp_path: Path) -> None:
 def test_malformed_cards_are_named(change: dict[str, Any], message: str) -> None:
     document = {**json.loads(card().to_json()), **change}
     with pytest.raises(ConfigError, match=message) as error:
-        Card.from_json(json.dumps(document), "some/policy.json")
+        PolicyCard.from_json(json.dumps(document), "some/policy.json")
     assert str(error.value).startswith("some/policy.json") and "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 1, "stage": "x"}', "nul\0"])
 def test_a_card_that_is_not_one_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="some/policy.json"):
-        Card.from_json(text, "some/policy.json")
+        PolicyCard.from_json(text, "some/policy.json")
 
 
 def test_a_card_takes_only_plain_data(tmp_path: Path) -> None:
@@ -335,7 +335,7 @@ def test_keep_last_keeps_the_newest_and_the_best(tmp_path: Path) -> None:
         os.utime(folder, ns=(0, age * 10**9))
     (tmp_path / "notes.txt").touch()
     deleted = keep_last(tmp_path, 2, protect=folders[1])
-    # By age and not by number: 5 was written after 40, in a run that was resumed earlier.
+    # By age and not by number: 5 was written after 40, in a run that was resume_config earlier.
     assert deleted == [folders[0], folders[2]]
     assert list_checkpoints(tmp_path) == [folders[1], folders[3], folders[4]]
     assert (tmp_path / "notes.txt").exists()

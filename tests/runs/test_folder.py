@@ -9,7 +9,7 @@ import torch
 import yaml
 
 import skatemount.runs
-from skatemount.runs.checkpoint import POLICY_FILE, Card, save_policy
+from skatemount.runs.checkpoint import POLICY_FILE, PolicyCard, save_policy
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.provenance import git_report
@@ -27,7 +27,7 @@ def make_run(root: Path, name: str = "balance", time: str | None = None) -> RunF
 
 def add_checkpoint(run: RunFolder, frames: int, score: float | None = None) -> Path:
     folder = run.checkpoint(frames)
-    save_policy(folder / POLICY_FILE, {"actor": torch.nn.Linear(1, 1)}, Card(stage="s", config={}))
+    save_policy(folder / POLICY_FILE, {"actor": torch.nn.Linear(1, 1)}, PolicyCard(stage="s", config={}))
     run.mark_checkpoint(folder, score)
     return folder
 

@@ -19,7 +19,7 @@ from skatemount.training import progress
 from skatemount.training.plots import plot_learning_curves
 from skatemount.training.progress import Progress
 from skatemount.utils.errors import ConfigError
-from skatemount.utils.formatting import clock, compact
+from skatemount.utils.formatting import format_count, format_duration
 
 
 @pytest.fixture
@@ -210,5 +210,5 @@ def test_terminal_progress_is_a_live_table() -> None:
 
 
 def test_short_forms() -> None:
-    assert [compact(x) for x in (950, 15_230, 1.2e6, 3e9)] == ["950", "15.2k", "1.20M", "3.00G"]
-    assert [clock(x) for x in (9, 83, 7511, math.inf)] == ["0:09", "1:23", "2:05:11", "-"]
+    assert [format_count(x) for x in (950, 15_230, 1.2e6, 3e9)] == ["950", "15.2k", "1.20M", "3.00G"]
+    assert [format_duration(x) for x in (9, 83, 7511, math.inf)] == ["0:09", "1:23", "2:05:11", "-"]

@@ -12,7 +12,7 @@ import pytest
 import torch
 from tiny import BATCH, SILENT, TINY
 
-from skatemount.agents.agent import Agent
+from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import compose
 from skatemount.curriculum.config import StageLink
 from skatemount.losses.ppo import PPO
@@ -49,7 +49,7 @@ def command(root: Path, *overrides: str) -> RunFolder:
 
 
 def weights(run: Path) -> dict[str, torch.Tensor]:
-    return Agent.load(str(run)).networks.state_dict()
+    return TrainedPolicy.load(str(run)).networks.state_dict()
 
 
 def evaluated(success: float) -> SimpleNamespace:
@@ -101,8 +101,8 @@ def test_the_chains_policy_is_that_of_its_last_stage(chain: RunFolder) -> None:
     last = RunFolder(chain.path / "2_mount").latest
     root = chain.path.parent.parent
     assert find_checkpoint(str(chain.path)) == find_checkpoint("latest", root) == last
-    assert Agent.load("latest", root).card.stage == "mount"
-    assert Agent.load(str(chain.path / "1_balance")).card.stage == "balance"
+    assert TrainedPolicy.load("latest", root).card.stage == "mount"
+    assert TrainedPolicy.load(str(chain.path / "1_balance")).card.stage == "balance"
 
 
 def test_a_stage_takes_over_everything_of_the_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ import torch
 import yaml
 from tiny import BATCH, SILENT, TINY
 
-from skatemount.agents.agent import Agent
+from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import Config, compose, from_dict
 from skatemount.losses.ppo import PPO
 from skatemount.runs.checkpoint import list_checkpoints, load_training_state
@@ -24,7 +24,7 @@ from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.lock import claimed
 from skatemount.train import train
-from skatemount.training.resume import resumed
+from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
@@ -44,7 +44,7 @@ def rows(run: RunFolder) -> list[dict[str, str]]:
 
 
 def weights(run: RunFolder) -> dict[str, torch.Tensor]:
-    return Agent.load(str(run.path)).networks.state_dict()
+    return TrainedPolicy.load(str(run.path)).networks.state_dict()
 
 
 def evaluated(success: float) -> SimpleNamespace:
@@ -78,7 +78,7 @@ def test_complete_run_folder(trained: RunFolder) -> None:
     # Three newest, every second iteration, and the best.
     kept = [folder.name for folder in list_checkpoints(trained.checkpoints)]
     assert kept[-3:] == [f"step_{i * BATCH:012d}" for i in (6, 8, 10)]
-    agent = Agent.load(str(path))
+    agent = TrainedPolicy.load(str(path))
     assert (agent.card.stage, agent.card.frames) == ("balance", 10 * BATCH)
     assert agent.config == config
 
@@ -135,7 +135,7 @@ def test_resume_goes_on(trained: RunFolder, tmp_path: Path) -> None:
 
 def test_resumed_trainer_has_what_was_saved(trained: RunFolder) -> None:
     given = [f"resume={trained.path}", f"total_frames={99 * BATCH}"]
-    trainer = Trainer(resumed(compose(None, [*given, "physics.threads=1", "torch_threads=1"]), given), given)
+    trainer = Trainer(resume_config(compose(None, [*given, "physics.threads=1", "torch_threads=1"]), given), given)
     trainer.close()
     assert same(trainer.networks.state_dict(), weights(trained))
     assert (trainer.frames, trainer.iteration) == (10 * BATCH, 10)
@@ -146,7 +146,7 @@ def test_resumed_trainer_has_what_was_saved(trained: RunFolder) -> None:
 
 def go_on(run: RunFolder, *overrides: str) -> Config:
     given = [f"resume={run.path}", *overrides]
-    return resumed(compose(None, given), given)
+    return resume_config(compose(None, given), given)
 
 
 def test_a_resumed_run_keeps_its_settings_but_for_what_is_asked_for(tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ def test_steps_that_have_become_small_stay_small_when_a_run_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # At first every step is far below the target, at the end far above it.
-    settling = ["algorithm.target_kl=1000", "algorithm.final_kl=1e-9", "algorithm.settle=1"]
+    settling = ["algorithm.target_kl=1000", "algorithm.final_target_kl=1e-9", "algorithm.kl_anneal_fraction=1"]
     with monkeypatch.context() as patched:
         interrupt_at(patched, 9)
         with pytest.raises(KeyboardInterrupt):
@@ -196,7 +196,7 @@ def test_resume_takes_the_checkpoint_that_is_named(tmp_path: Path) -> None:
     run(tmp_path, *SILENT, "logger.checkpoint_every=1", frames=3 * BATCH)
     for spec, frames in (("latest", 3 * BATCH), (str(next(tmp_path.rglob(f"step_*{2 * BATCH}"))), 2 * BATCH)):
         given = [f"resume={spec}", f"total_frames={9 * BATCH}", f"logger.root={tmp_path}"]
-        trainer = Trainer(resumed(compose(None, given), given), given)
+        trainer = Trainer(resume_config(compose(None, given), given), given)
         trainer.close()
         assert trainer.frames == frames
 
@@ -226,7 +226,7 @@ def test_resume_refuses_what_cannot_change(trained: RunFolder, tmp_path: Path) -
         return message(lambda: train(compose(None, given), given))
 
     assert "seed=1 cannot be changed with resume" in resume("seed=1")
-    assert "algorithm.clip=0.1" in resume("total_frames=9999", "algorithm.clip=0.1")
+    assert "algorithm.clip_epsilon=0.1" in resume("total_frames=9999", "algorithm.clip_epsilon=0.1")
     assert f"({10 * BATCH})" in resume("torch_threads=1")  # nothing left to do
     policy = ["resume=pretrained:balance"]
     refused = message(lambda: train(compose(None, policy), policy))
@@ -323,7 +323,7 @@ def test_a_request_to_end_does_not_replace_what_was_evaluated(tmp_path: Path, mo
         run(tmp_path, "logger.evaluate_every=2", *SILENT, frames=100 * BATCH)
     left = RunFolder.open(tmp_path / (tmp_path / "latest").read_text().strip())
     assert left.best is not None and left.best == left.latest
-    assert Agent.load(str(left.best)).card.metrics["Evaluation/success"] == 0.9
+    assert TrainedPolicy.load(str(left.best)).card.metrics["Evaluation/success"] == 0.9
 
 
 def test_a_request_to_end_before_anything_is_learnt_leaves_no_checkpoint(

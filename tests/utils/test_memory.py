@@ -12,7 +12,7 @@ PAGE_FAULTS = """
 import resource
 import sys
 import numpy as np
-from skatemount.utils.memory import keep_freed_memory
+from skatemount.utils.memory import disable_malloc_trim
 
 def fresh_array():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -21,7 +21,7 @@ def fresh_array():
 
 fresh_array()
 without = fresh_array()
-keep_freed_memory()
+disable_malloc_trim()
 fresh_array()
 print(without, fresh_array())
 """

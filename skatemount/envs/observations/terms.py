@@ -78,7 +78,7 @@ def board_pos(sim: SimState, episode: EpisodeState, context: TaskContext, at: st
 @observation(6, "vector")
 def board_axes(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """The board's x and z axes in the trunk frame, ``[N, 6]``; x points to the end that the trunk faces."""
-    return torch.cat((sim.board_rot_base[..., 0] * episode.facing, sim.board_rot_base[..., 2]), -1)
+    return torch.cat((sim.board_rot_base[..., 0] * episode.board_direction, sim.board_rot_base[..., 2]), -1)
 
 
 @observation(1, None)
@@ -181,7 +181,7 @@ def feet_board(sim: SimState, episode: EpisodeState, context: TaskContext) -> Te
 
 def _turn(episode: EpisodeState) -> Tensor:
     """Factor of the board's axes that turns x to the end that the trunk faces, ``[N, 1, 3]``."""
-    return torch.nn.functional.pad(episode.facing.expand(-1, 2), (0, 1), value=1.0).unsqueeze(1)
+    return torch.nn.functional.pad(episode.board_direction.expand(-1, 2), (0, 1), value=1.0).unsqueeze(1)
 
 
 @observation(4, "flags")
@@ -225,7 +225,7 @@ def board_velocity(sim: SimState, episode: EpisodeState, context: TaskContext) -
 @observation(2, "negative")
 def truck_angle(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """The truck at the end that the trunk faces and the other one, about their axes, ``[N, 2]`` rad."""
-    return torch.where(episode.facing > 0, sim.truck_angle, sim.truck_angle.flip(-1))
+    return torch.where(episode.board_direction > 0, sim.truck_angle, sim.truck_angle.flip(-1))
 
 
 @observation(3, "scalars")

@@ -38,7 +38,7 @@ class Physics(Protocol):
         """
         ...
 
-    def reset(self, mask: Tensor, start: WorldStart) -> None:
+    def reset(self, mask: Tensor, start: StartState) -> None:
         """Put the chosen worlds into start states and compute everything that depends on them.
 
         Args:
@@ -76,7 +76,7 @@ class Physics(Protocol):
         """``[N]`` bool, worlds whose physics failed (not finite or out of bounds) since their last reset."""
         ...
 
-    def world(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    def render_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """One world's pose with everything there is to see, to render it."""
         ...
 
@@ -101,7 +101,7 @@ class Physics(Protocol):
 
 
 @dataclass
-class WorldStart:
+class StartState:
     """What an engine needs to start a world.
 
     Attributes:
@@ -132,29 +132,29 @@ class WorldStart:
     torque: Tensor
     bin: Tensor
 
-    def __getitem__(self, rows: Tensor | slice) -> WorldStart:
+    def __getitem__(self, rows: Tensor | slice) -> StartState:
         """The starts of some rows."""
-        return WorldStart(**{name: value[rows] for name, value in vars(self).items()})
+        return StartState(**{name: value[rows] for name, value in vars(self).items()})
 
     def __len__(self) -> int:
         return self.base_pos.shape[0]
 
     @staticmethod
-    def cat(parts: list[WorldStart]) -> WorldStart:
+    def cat(parts: list[StartState]) -> StartState:
         """Join batches of starts."""
-        return WorldStart(**{name: torch.cat([getattr(p, name) for p in parts]) for name in vars(parts[0])})
+        return StartState(**{name: torch.cat([getattr(p, name) for p in parts]) for name in vars(parts[0])})
 
     @staticmethod
-    def where(mask: Tensor, first: WorldStart, second: WorldStart) -> WorldStart:
+    def where(mask: Tensor, first: StartState, second: StartState) -> StartState:
         """The first's rows where the ``[N]`` mask is true, the second's elsewhere."""
 
         def choose(a: Tensor, b: Tensor) -> Tensor:
             return torch.where(mask.view(-1, *[1] * (a.dim() - 1)), a, b)
 
-        return WorldStart(**{name: choose(value, getattr(second, name)) for name, value in vars(first).items()})
+        return StartState(**{name: choose(value, getattr(second, name)) for name, value in vars(first).items()})
 
 
-def show(
+def posed_data(
     model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, mocap_pos: np.ndarray
 ) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """A model in a pose, to be rendered.

@@ -11,7 +11,7 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
-from skatemount.envs.physics.base import WorldStart, show
+from skatemount.envs.physics.base import StartState, posed_data
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState, StateReader
 
@@ -76,7 +76,7 @@ class CpuPhysics:
         self._ctrl[:, self.index.actuators] = targets.numpy()
         self._batch.step(nstep=substeps, stage=_POSITION_AND_VELOCITY)
 
-    def reset(self, mask: Tensor, start: WorldStart) -> None:
+    def reset(self, mask: Tensor, start: StartState) -> None:
         """Put the chosen worlds into start states; see `Physics.reset`."""
         ids = np.flatnonzero(mask.numpy())
         if not ids.size:
@@ -152,13 +152,13 @@ class CpuPhysics:
     def _visible(self) -> mujoco.MjModel:
         return self._scene.compile()
 
-    def world(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    def render_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """One world's pose with everything there is to see, to render it.
 
         Args:
             i: The world.
         """
-        return show(self._visible, self._qpos[i], self._qvel[i], self._mocap[i])
+        return posed_data(self._visible, self._qpos[i], self._qvel[i], self._mocap[i])
 
     def close(self) -> None:
         """Stop the threads and free the worlds."""

@@ -14,7 +14,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from skatemount.envs.physics.base import WorldStart, show
+from skatemount.envs.physics.base import StartState, posed_data
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState, StateReader
 from skatemount.utils.devices import choose_device
@@ -200,7 +200,7 @@ class WarpPhysics:
         for values in self._all.results.values():
             torch.nan_to_num_(values, 0.0, 0.0, 0.0)
 
-    def reset(self, mask: Tensor, start: WorldStart) -> None:
+    def reset(self, mask: Tensor, start: StartState) -> None:
         """Put the chosen worlds into start states; see `Physics.reset`."""
         index, rows = self.index, mask.nonzero().squeeze(1)
         qpos = self._qpos0.repeat(len(rows), 1)
@@ -311,10 +311,10 @@ class WarpPhysics:
     def _visible(self) -> mujoco.MjModel:
         return self._scene.compile()
 
-    def world(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    def render_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """One world's pose with everything there is to see; see `Physics.world`."""
         qpos, qvel, mocap = (self._state[name][i].cpu().numpy() for name in ("qpos", "qvel", "mocap_pos"))
-        return show(self._visible, qpos, qvel, mocap)
+        return posed_data(self._visible, qpos, qvel, mocap)
 
     def close(self) -> None:
         """Free the worlds."""

@@ -49,7 +49,7 @@ def mounted(sim: SimState, episode: EpisodeState, context: TaskContext, ramp: fl
 @reward
 def all_feet_on_board(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """1 while all four feet press on the deck and none on anything else (ours; a shin on the deck does not void it)."""
-    alone = episode.on_deck.all(-1) & ~episode.elsewhere
+    alone = episode.on_deck.all(-1) & ~episode.foot_off_deck_contact
     return alone.to(sim.base_pos.dtype)
 
 

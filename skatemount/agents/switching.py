@@ -10,19 +10,19 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from skatemount.agents.agent import Agent
-from skatemount.agents.interface import columns
+from skatemount.agents.interface import feature_indices
+from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.envs.mount_env import MountEnv
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.runs.find import PRETRAINED, is_shipped
 from skatemount.utils.errors import ConfigError
 
 MARGIN = 0.3
-"""How much farther than the handover the robot must be for the walking policy to take over again, m."""
+"""How much farther than the switch_distance the robot must be for the walking policy to take over again, m."""
 
 
 @dataclass
-class Relay:
+class SwitchingPolicy:
     """A walking and a mounting policy that take turns in each world.
 
     The walking policy follows the velocity command that the environment computes from the board's pose
@@ -31,14 +31,15 @@ class Relay:
     Attributes:
         walk: The walking policy.
         mount: The mounting policy.
-        seen_walking: ``[D]``, which values of the observation the walking policy sees, in its order.
-        handover: Distance between trunk and deck's centre in the plane at which the mounting policy takes over, m.
+        walker_features: ``[D]``, which values of the observation the walking policy sees, in its order.
+        switch_distance: Distance between trunk and deck's centre in the plane at which the mounting policy takes over,
+            m.
     """
 
     walk: ActorCritic
     mount: ActorCritic
-    seen_walking: Tensor
-    handover: float
+    walker_features: Tensor
+    switch_distance: float
 
     def actor_in(self, env: MountEnv) -> Callable[[TensorDictBase], TensorDictBase]:
         """What acts in an environment from its next reset on; it remembers whose turn it is in each world.
@@ -51,8 +52,8 @@ class Relay:
         def act(seen: TensorDictBase) -> TensorDictBase:
             nonlocal mounting
             distance = env.episode.distance
-            mounting = (distance < self.handover) | (mounting & (distance < self.handover + MARGIN))
-            walked = self.walk.actor(TensorDict(observation=seen["observation"][:, self.seen_walking]))
+            mounting = (distance < self.switch_distance) | (mounting & (distance < self.switch_distance + MARGIN))
+            walked = self.walk.actor(TensorDict(observation=seen["observation"][:, self.walker_features]))
             acted = self.mount.actor(seen)
             acted["action"] = torch.where(mounting.unsqueeze(1), acted["action"], walked["action"])
             return acted
@@ -60,23 +61,23 @@ class Relay:
         return act
 
 
-Policy = ActorCritic | Relay
+Policy = ActorCritic | SwitchingPolicy
 """What can be evaluated."""
 
 
 @dataclass
-class PipelineAgent(Agent):
+class SwitchingAgent(TrainedPolicy):
     """Two policies that are tried as one; configuration, card and path are the mounting policy's.
 
     Attributes:
         walker: The walking policy.
-        seen_walking: See `Relay`.
-        handover: See `Relay`.
+        walker_features: See `SwitchingPolicy`.
+        switch_distance: See `SwitchingPolicy`.
     """
 
-    walker: Agent
-    seen_walking: Tensor
-    handover: float
+    walker: TrainedPolicy
+    walker_features: Tensor
+    switch_distance: float
 
     @property
     def name(self) -> str:
@@ -87,25 +88,25 @@ class PipelineAgent(Agent):
         """Move what acts to a device."""
         super().to(device)
         self.walker.to(device)
-        self.seen_walking = self.seen_walking.to(device)
+        self.walker_features = self.walker_features.to(device)
 
     @property
-    def policy(self) -> Relay:
+    def policy(self) -> SwitchingPolicy:
         """What acts."""
-        return Relay(self.walker.networks, self.networks, self.seen_walking, self.handover)
+        return SwitchingPolicy(self.walker.networks, self.networks, self.walker_features, self.switch_distance)
 
     @property
     def settings(self) -> list[str]:
         """How to ask for it on a command line."""
-        return [f"pipeline={self.walker.spec}+{self.spec}", f"handover={self.handover}"]
+        return [f"pipeline={self.walker.spec}+{self.spec}", f"switch_distance={self.switch_distance}"]
 
     @classmethod
-    def load_pair(cls, spec: str, handover: float, root: Path | str = "runs") -> PipelineAgent:
+    def load_pair(cls, spec: str, switch_distance: float, root: Path | str = "runs") -> SwitchingAgent:
         """Load two policies.
 
         Args:
             spec: ``WALK+MOUNT``, each the name of a shipped policy or anything that ``checkpoint`` may be.
-            handover: See `Relay`.
+            switch_distance: See `SwitchingPolicy`.
             root: Folder of all runs.
 
         Raises:
@@ -116,7 +117,7 @@ class PipelineAgent(Agent):
         if len(names) != 2 or not all(names):
             raise ConfigError(f"pipeline={spec} must be two policies, WALK+MOUNT, such as gait+mount")
         walker, mounter = (
-            Agent.load(f"{PRETRAINED}{name}" if is_shipped(name) else name, root, "pipeline") for name in names
+            TrainedPolicy.load(f"{PRETRAINED}{name}" if is_shipped(name) else name, root, "pipeline") for name in names
         )
         if walker.card.action != mounter.card.action:
             raise ConfigError(
@@ -124,5 +125,5 @@ class PipelineAgent(Agent):
                 "must act alike"
             )
         where = f"pipeline={spec}: the first policy must see no more than the second; {names[0]}"
-        seen = columns(mounter.card.observation, walker.card, "observation", where, names[1])
-        return cls(**vars(mounter), walker=walker, seen_walking=seen, handover=handover)
+        seen = feature_indices(mounter.card.observation, walker.card, "observation", where, names[1])
+        return cls(**vars(mounter), walker=walker, walker_features=seen, switch_distance=switch_distance)

@@ -1,6 +1,6 @@
 """What cheaper and dearer physics costs and gives: speed, how far a control step goes astray, and success, in one run.
 
-    python benchmarks/model_diet.py checkpoint=pretrained:unfixed --episodes 1000
+    python benchmarks/solver_settings_tradeoff.py checkpoint=pretrained:unfixed --episodes 1000
 
 Every variant is the same model with other settings of the solver or of time. All start again and again from the same
 states, those that the policy comes to in its suite, with the same targets:
@@ -27,14 +27,14 @@ from typing import Any
 
 import torch
 
-from skatemount.agents.agent import Agent
+from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import Config
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.physics.base import Physics
 from skatemount.envs.physics.factory import make_physics
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import deterministic
-from skatemount.evaluation.suite_task import Trial, load_suite
+from skatemount.evaluation.suite_task import EvaluationTask, load_suite
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
@@ -93,7 +93,7 @@ def changed(config: Config, changes: dict[str, Any]) -> Config:
     return replace(config, physics=replace(config.physics, **changes))
 
 
-def encountered(agent: Agent, env: MountEnv) -> list[tuple[Any, torch.Tensor]]:
+def encountered(agent: TrainedPolicy, env: MountEnv) -> list[tuple[Any, torch.Tensor]]:
     """States that the policy comes to, from walking up to standing, each with the targets that it asks for."""
     found, data = [], env.reset()
     with deterministic():
@@ -129,13 +129,13 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=1000, help="for success")
     parser.add_argument("--json", type=Path, help="file for the figures")
     options = parser.parse_args()
-    agent = Agent.load(options.checkpoint.removeprefix("checkpoint="))
+    agent = TrainedPolicy.load(options.checkpoint.removeprefix("checkpoint="))
     suite = load_suite(options.suite)
     if suite.members or suite.variants:
         parser.error(f"--suite {options.suite} is made of several tasks: give one of a single task")
     names = list(dict.fromkeys(["default", *options.variants]))
 
-    config = Trial.of(agent, suite).configs[""]
+    config = EvaluationTask.of(agent, suite).configs[""]
     control_step = config.physics.timestep * config.physics.substeps
     if not math.isclose(control_step, CONTROL_STEP):
         parser.error(f"{agent.name} acts every {control_step:g} s: the variants are those of {CONTROL_STEP} s")
@@ -158,7 +158,7 @@ def main() -> None:
         off = torch.stack([stepper.feet(*each) - where for each, where in zip(states, truth)]).norm(dim=-1)
         stepper.physics.close()
         # Here the policy's time step gives way to the variant's, so these are no overrides of a trial.
-        trial = Trial.of(agent, suite)
+        trial = EvaluationTask.of(agent, suite)
         trial.configs = {"": changed(trial.configs[""], VARIANTS[name])}
         result = trial.evaluate(options.episodes)
         rows[name] = {

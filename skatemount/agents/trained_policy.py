@@ -1,4 +1,4 @@
-"""`Agent`: a policy with the configuration it was trained in, and its card."""
+"""`TrainedPolicy`: a policy with the configuration it was trained in, and its card."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ import torch
 from torch import Tensor
 
 from skatemount import config as configuration
-from skatemount.agents.interface import action_contract, observation_contract
+from skatemount.agents.interface import action_interface, observation_layout
 from skatemount.config import Config
 from skatemount.envs.task import MountTask
 from skatemount.models.actor_critic import ActorCritic
-from skatemount.runs.checkpoint import Card, load_policy
+from skatemount.runs.checkpoint import PolicyCard, load_policy
 from skatemount.runs.find import POLICIES, PRETRAINED, find_checkpoint
 from skatemount.runs.provenance import package_versions
 from skatemount.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from skatemount.agents.pipeline import Policy
+    from skatemount.agents.switching import Policy
 
 MODULE = "networks"
 """Name of the `ActorCritic` among the modules of a policy file: ``save_policy(path, {MODULE: ...})``."""
 
 
 @dataclass
-class Agent:
+class TrainedPolicy:
     """A trained policy.
 
     Attributes:
@@ -40,11 +40,11 @@ class Agent:
 
     networks: ActorCritic
     config: Config
-    card: Card
+    card: PolicyCard
     path: Path
 
     @classmethod
-    def load(cls, spec: str, root: Path | str = "runs", setting: str = "checkpoint") -> Agent:
+    def load(cls, spec: str, root: Path | str = "runs", setting: str = "checkpoint") -> TrainedPolicy:
         """Load a policy.
 
         Args:
@@ -124,7 +124,7 @@ def load_weights(networks: ActorCritic, modules: Mapping[str, Mapping[str, Tenso
     networks.load_state_dict(saved)
 
 
-def make_card(config: Config, task: MountTask, frames: int, metrics: dict[str, Any] | None = None) -> Card:
+def make_policy_card(config: Config, task: MountTask, frames: int, metrics: dict[str, Any] | None = None) -> PolicyCard:
     """The card of a policy.
 
     Args:
@@ -133,11 +133,11 @@ def make_card(config: Config, task: MountTask, frames: int, metrics: dict[str, A
         frames: Environment steps trained.
         metrics: Training metrics at that moment.
     """
-    return Card(
+    return PolicyCard(
         stage=config.stage.name,
         config=configuration.to_dict(config),
-        observation=observation_contract(task),
-        action=action_contract(task),
+        observation=observation_layout(task),
+        action=action_interface(task),
         frames=frames,
         metrics=dict(metrics or {}),
         versions=package_versions(),

@@ -9,12 +9,12 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from skatemount.agents.agent import MODULE, Agent, make_card
-from skatemount.agents.pipeline import MARGIN, PipelineAgent, Relay
+from skatemount.agents.switching import MARGIN, SwitchingAgent, SwitchingPolicy
+from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
 from skatemount.config import Config, compose
 from skatemount.envs import MountTask
 from skatemount.envs.mount_env import MountEnv
-from skatemount.evaluation.suite_task import Trial
+from skatemount.evaluation.suite_task import EvaluationTask
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.runs.checkpoint import save_policy
 from skatemount.utils.errors import ConfigError
@@ -42,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         mdp = task.make_mdp(torch.Generator())
         torch.manual_seed(seed)
         networks = ActorCritic(config.network, mdp.observation.size, mdp.privileged.size)
-        save_policy(folder / f"{name}.safetensors", {MODULE: networks}, make_card(config, task, seed))
+        save_policy(folder / f"{name}.safetensors", {MODULE: networks}, make_policy_card(config, task, seed))
     return folder
 
 
@@ -55,7 +55,7 @@ def test_the_nearer_the_board_the_later_policy(make_env) -> None:
     seen = env.reset()
     size = seen["observation"].shape[1]
     walk, mount = Always(1.0, 5), Always(2.0, size)
-    relay = Relay(walk, mount, torch.arange(5), handover=0.6)
+    relay = SwitchingPolicy(walk, mount, torch.arange(5), switch_distance=0.6)
     act = relay.actor_in(env)
 
     def acting(*distances: float) -> list[float]:
@@ -82,25 +82,27 @@ def test_a_pipeline_is_tried_as_one_policy(folder: Path, first: str, second: str
         "observation.noise=false",
     ]
 
-    def trial(*more: str) -> Trial:
-        (made,) = Trial.prepare(compose(None, [*asked, *more]), [*asked, *more])
+    def trial(*more: str) -> EvaluationTask:
+        (made,) = EvaluationTask.prepare(compose(None, [*asked, *more]), [*asked, *more])
         return made
 
-    def energy(tried: Trial) -> list[float]:
+    def energy(tried: EvaluationTask) -> list[float]:
         return tried.evaluate(4).records.energy.tolist()
 
     # Without noise, which depends on how many values are seen, robots do alike whatever else the other policy sees.
     alone = [
-        Trial.of(Agent.load(str(folder / f"{n}.safetensors")), trial().suite, trial().overrides)
+        EvaluationTask.of(TrainedPolicy.load(str(folder / f"{n}.safetensors")), trial().suite, trial().overrides)
         for n in (first, second)
     ]
-    assert energy(trial("handover=0.01")) == energy(alone[0])
-    assert energy(trial("handover=100")) == energy(alone[1])
+    assert energy(trial("switch_distance=0.01")) == energy(alone[0])
+    assert energy(trial("switch_distance=100")) == energy(alone[1])
     assert energy(alone[0]) != energy(alone[1])
-    again = trial("handover=0.3")
+    again = trial("switch_distance=0.3")
     assert again.describe()["checkpoint"] == f"{first}+{second}"
     words = shlex.split(again.record_command(3))
-    assert f"pipeline={pair(folder, first, second)}" in words and "handover=0.3" in words and "episode=3" in words
+    assert (
+        f"pipeline={pair(folder, first, second)}" in words and "switch_distance=0.3" in words and "episode=3" in words
+    )
 
 
 @pytest.mark.parametrize(
@@ -114,15 +116,15 @@ def test_a_pipeline_is_tried_as_one_policy(folder: Path, first: str, second: str
 )
 def test_mistakes_are_one_line(spec: str, said: str) -> None:
     with pytest.raises(ConfigError) as error:
-        PipelineAgent.load_pair(spec, 0.6)
+        SwitchingAgent.load_pair(spec, 0.6)
     assert said in str(error.value) and "\n" not in str(error.value)
 
 
 def test_the_walking_policy_must_not_see_more(folder: Path) -> None:
     with pytest.raises(ConfigError, match=r"it sees observation.command \(size=3.*blind.safetensors gives nothing"):
-        PipelineAgent.load_pair(pair(folder, "walk", "blind"), 0.6)
+        SwitchingAgent.load_pair(pair(folder, "walk", "blind"), 0.6)
 
 
 def test_handover_is_a_distance() -> None:
-    with pytest.raises(ConfigError, match="handover=-1.0 must be above 0"):
-        compose(None, ["handover=-1"])
+    with pytest.raises(ConfigError, match="switch_distance=-1.0 must be above 0"):
+        compose(None, ["switch_distance=-1"])

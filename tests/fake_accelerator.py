@@ -135,7 +135,7 @@ class _Generator(torch.Generator):
 
 
 @contextmanager
-def on_the_far_device() -> Iterator[None]:
+def on_the_fake_accelerator() -> Iterator[None]:
     """Let torch know the device, and mujoco_warp's memory be on it."""
     from skatemount.envs.physics import warp
 
@@ -181,14 +181,20 @@ def refuses_what_is_elsewhere() -> None:
 
 
 def train(root: str) -> None:
-    """A training with all that has tensors of its own, resumed, and an evaluation of its policy."""
+    """A training with all that has tensors of its own, resume_config, and an evaluation of its policy."""
     from tiny import TINY
 
     from skatemount.config import compose
     from skatemount.evaluation.evaluator import Evaluator
     from skatemount.training.trainer import Trainer
 
-    asked = ["physics=warp", "+curriculum=auto", "physics.num_worlds=8", "collector.steps=20", f"logger.root={root}"]
+    asked = [
+        "physics=warp",
+        "+curriculum=auto",
+        "physics.num_worlds=8",
+        "collector.steps_per_env=20",
+        f"logger.root={root}",
+    ]
     config = compose("unfixed", [*TINY, *asked, "total_frames=320", "network.symmetric=true", "network.normalize=true"])
     trainer = Trainer(config)
     trainer.train()
@@ -206,6 +212,6 @@ def train(root: str) -> None:
 
 
 if __name__ == "__main__":
-    with on_the_far_device():
+    with on_the_fake_accelerator():
         refuses_what_is_elsewhere()
         train(sys.argv[1])

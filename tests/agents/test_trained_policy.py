@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from skatemount.agents.agent import MODULE, Agent, load_weights, make_card
-from skatemount.agents.interface import check_contract
+from skatemount.agents.interface import check_interface
+from skatemount.agents.trained_policy import MODULE, TrainedPolicy, load_weights, make_policy_card
 from skatemount.config import Config, compose
 from skatemount.envs.task import MountTask
 from skatemount.models.actor_critic import ActorCritic
@@ -38,10 +38,10 @@ def test_loads_what_was_saved(config: Config, task: MountTask, tmp_path: Path) -
     for parameter in networks.parameters():
         torch.nn.init.normal_(parameter)
     networks.normalizers[0].observe(torch.randn(50, 75))
-    card = make_card(config, task, frames=1234, metrics={"Success/rate": 0.5})
+    card = make_policy_card(config, task, frames=1234, metrics={"Success/rate": 0.5})
     save_policy(tmp_path / "p.safetensors", {MODULE: networks}, card)
 
-    agent = Agent.load(str(tmp_path / "p.safetensors"))
+    agent = TrainedPolicy.load(str(tmp_path / "p.safetensors"))
     assert agent.config == config
     assert (agent.card.frames, agent.card.stage, agent.name) == (1234, "mount", "p")
     saved, loaded = networks.state_dict(), agent.networks.state_dict()
@@ -49,11 +49,11 @@ def test_loads_what_was_saved(config: Config, task: MountTask, tmp_path: Path) -
     assert all(torch.equal(saved[key], loaded[key]) for key in saved)
     # The actor and the list of normalisers share theirs, after loading as before.
     assert agent.networks.normalizers[0].count == 50
-    check_contract(agent.card, task)
+    check_interface(agent.card, task)
 
 
 def test_card_says_what_is_seen_and_done(config: Config, task: MountTask) -> None:
-    card = make_card(config, task, frames=0)
+    card = make_policy_card(config, task, frames=0)
     sizes = {"observation": 0, "privileged": 0}
     for part in card.observation:
         sizes[part["key"]] += part["size"]
@@ -81,10 +81,10 @@ def test_card_says_what_is_seen_and_done(config: Config, task: MountTask) -> Non
     ],
 )
 def test_a_task_that_differs_is_named(config: Config, task: MountTask, override: str, said: str) -> None:
-    card = make_card(config, task, frames=0)
+    card = make_policy_card(config, task, frames=0)
     other = MountTask(config=compose("mount", [*TINY, "observation=compact", override]))
     with pytest.raises(ConfigError) as error:
-        check_contract(card, other, "init_from=x")
+        check_interface(card, other, "init_from=x")
     assert str(error.value).startswith("init_from=x: ")
     assert said in str(error.value)
     assert "\n" not in str(error.value)
@@ -93,7 +93,7 @@ def test_a_task_that_differs_is_named(config: Config, task: MountTask, override:
 def test_what_is_no_part_of_the_contract_may_differ(config: Config, task: MountTask) -> None:
     other = compose("unfixed", [*TINY, "observation=compact", "board=longboard", "robot.kp=25"])
     other.observation.noise = False
-    check_contract(make_card(config, task, frames=0), MountTask(config=other))
+    check_interface(make_policy_card(config, task, frames=0), MountTask(config=other))
 
 
 def test_weights_that_do_not_fit_are_named(config: Config) -> None:
@@ -114,4 +114,4 @@ def test_weights_that_do_not_fit_are_named(config: Config) -> None:
 
 def test_a_missing_policy_names_the_setting() -> None:
     with pytest.raises(ConfigError, match=r"^init_from='nowhere'"):
-        Agent.load("nowhere", setting="init_from")
+        TrainedPolicy.load("nowhere", setting="init_from")

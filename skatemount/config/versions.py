@@ -1,0 +1,89 @@
+"""Settings of older versions: what they are called today, and what they were before they were settings.
+
+A saved run or policy card says which format its settings have (none: format 1). `upgrade` brings them to today's
+format. A setting that did not exist then gets the value that the code had fixed at that time, never today's default.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+FORMAT = 2
+
+RENAMED: dict[str, str] = {
+    "algorithm.clip": "algorithm.clip_epsilon",
+    "algorithm.final_kl": "algorithm.final_target_kl",
+    "algorithm.horizon": "algorithm.discount_horizon",
+    "algorithm.settle": "algorithm.kl_anneal_fraction",
+    "algorithm.trace": "algorithm.gae_horizon",
+    "algorithm.value_coeff": "algorithm.critic_coeff",
+    "collector.enough": "collector.max_mounted_time",
+    "collector.steps": "collector.steps_per_env",
+    "curriculum.free_after": "curriculum.free_board_after",
+    "curriculum.harvest": "curriculum.stuck_start_fraction",
+    "curriculum.least": "curriculum.min_episodes",
+    "curriculum.lowest": "curriculum.min_height",
+    "curriculum.memory": "curriculum.window",
+    "curriculum.own": "curriculum.stage_range_fraction",
+    "curriculum.own_beyond": "curriculum.stage_range_from",
+    "curriculum.replay": "curriculum.replay_fraction",
+    "curriculum.solved": "curriculum.solved_rate",
+    "curriculum.steady": "curriculum.success_threshold",
+    "grow": "init_from_expand",
+    "handover": "switch_distance",
+}
+"""Names of format 1 and what they became in format 2."""
+
+ADDED: dict[str, Any] = {
+    "algorithm.compile": False,
+    "algorithm.final_target_kl": None,
+    "algorithm.kl_anneal_fraction": 0.2,
+    "curriculum.stage_range_fraction": 0.0,
+    "curriculum.stage_range_from": None,
+    "init_from_expand": False,
+    "observation.history_length": 1,
+    "physics.device": "auto",
+    "physics.max_constraints": 160,
+    "physics.max_contacts": 48,
+    "physics.tolerance": 1e-8,
+}
+"""Settings that saved files of format 1 may lack, with the value that they had when they were not settings yet."""
+
+
+def upgrade(values: dict[str, Any], saved_format: int) -> dict[str, Any]:
+    """Return saved settings under today's names, with the settings that did not exist when they were saved.
+
+    Args:
+        values: Nested settings as they were saved; left as they are.
+        saved_format: The format that they were saved in.
+    """
+    values = copy.deepcopy(values)
+    if saved_format >= FORMAT:
+        return values
+    for old, new in RENAMED.items():
+        *groups, name = old.split(".")
+        holder = _group(values, groups)
+        if name in holder:
+            holder[new.split(".")[-1]] = holder.pop(name)
+    for key, value in ADDED.items():
+        *groups, name = key.split(".")
+        _group(values, groups).setdefault(name, copy.deepcopy(value))
+    return values
+
+
+def rename_override(override: str) -> str:
+    """Return a command line's override with the setting's name of today."""
+    prefix = override[: len(override) - len(override.lstrip("+~"))]
+    key, equals, value = override[len(prefix) :].partition("=")
+    return f"{prefix}{RENAMED.get(key, key)}{equals}{value}"
+
+
+def _group(values: dict[str, Any], names: list[str]) -> dict[str, Any]:
+    for name in names:
+        found = values.setdefault(name, {})
+        if not isinstance(found, dict):
+            # Not settings at all: whoever reads them says so.
+            return {}
+        values = found
+    return values
