@@ -8,9 +8,9 @@ VENV ?= .venv
 PYTHON ?=
 ARGS ?=
 STAGE ?= balance
-POLICY ?= best
+POLICY ?= anywhere
 # The best policy is shown where its success is quoted; others in the task that they were trained in.
-SUITE ?= $(if $(filter best,$(POLICY)),approach-unfixed)
+SUITE ?= $(if $(filter anywhere best,$(POLICY)),approach-unfixed)
 
 PY := $(VENV)/bin/python
 PIPFLAGS ?=
@@ -33,7 +33,7 @@ help:
 	@echo 'settings:       PYTHON=/path/to/python  VENV=folder  STAGE=mount  POLICY=balance  SUITE=far  ARGS="seed=1"'
 
 train: setup
-	$(PY) -m skatemount.train +stage=$(STAGE) $(ARGS)
+	$(PY) -m skatemount.train stage=$(STAGE) $(ARGS)
 
 demo: setup
 	$(PY) -m skatemount.evaluate checkpoint=pretrained:$(POLICY) $(SUITE:%=suite=%) $(ARGS)

@@ -1,4 +1,4 @@
-"""`python -m skatemount.bench +stage=<name>`: how fast training is on this machine, and what limits it."""
+"""`python -m skatemount.bench stage=<name>`: how fast training is on this machine, and what limits it."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from skatemount.config import Config
+    from skatemount.config import BenchProgramConfig
 
 NOT_TRAINING = ("bench", "json", "output")
 """Settings of this program alone."""
 
 
-def bench(config: Config, overrides: list[str]) -> None:
+def bench(config: BenchProgramConfig, overrides: list[str]) -> None:
     """Measure a training and its parts side by side, print tables and draw a picture.
 
     Raw physics is the engine stepping the same states with the same actions and nothing else; the other figures are
@@ -32,7 +32,7 @@ def bench(config: Config, overrides: list[str]) -> None:
     from skatemount.profiling.measure import measure
     from skatemount.runs import atomic
 
-    prepare_outputs(config)
+    prepare_outputs(config.json, config.output)
     training = [o for o in overrides if o.lstrip("+~").split("=")[0].split(".")[0] not in NOT_TRAINING]
     measured = measure(config, training, lambda doing: print(f"measuring {doing}", flush=True))
     print("", report.text(measured), sep="\n")

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from skatemount.config import Config
+    from skatemount.config import EvaluateConfig
     from skatemount.evaluation.results import Evaluation
     from skatemount.evaluation.suite_task import EvaluationTask
 
 
-def evaluate(config: Config, overrides: list[str]) -> None:
+def evaluate(config: EvaluateConfig, overrides: list[str]) -> None:
     """Evaluate a policy with deterministic actions and print the results.
 
     Settings: ``checkpoint`` (a run, a checkpoint, a file, ``latest``, ``best``, ``pretrained:NAME``), ``suite`` (the
@@ -34,7 +34,7 @@ def evaluate(config: Config, overrides: list[str]) -> None:
     from skatemount.evaluation.suite_task import EvaluationTask
     from skatemount.runs.provenance import package_versions
 
-    prepare_outputs(config)
+    prepare_outputs(config.json, config.output)
     trials = EvaluationTask.prepare(config, overrides)
     results = {}
     for i, trial in enumerate(trials):

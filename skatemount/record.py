@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from skatemount.config import Config
+    from skatemount.config import RecordConfig
 
 MAX_RATE = 60.0
 """Pictures a second; of faster control only every so many steps is shown."""
 
 
-def record(config: Config, overrides: list[str]) -> None:
+def record(config: RecordConfig, overrides: list[str]) -> None:
     """Film one episode with deterministic actions: an MP4 and a filmstrip of six pictures.
 
     It is an episode of the evaluation with the same settings, run again step for step; the first one unless ``episode``

@@ -1,4 +1,4 @@
-"""`python -m skatemount.train +stage=<name>`: train a stage, or with `+curriculum=paper` a chain of them."""
+"""`python -m skatemount.train stage=<name>`: train a stage, or with `curriculum=paper` a chain of them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ def train(config: Config, overrides: list[str]) -> None:
         return
     if config.resume is None and not config.stage.name:
         listed = "; ".join(f"{name} ({about})" for name, about in stages().items())
-        raise ConfigError(f"no stage: add +stage=<name>, or +curriculum=paper for all. There are: {listed}")
+        raise ConfigError(
+            f"no stage: give stage=<name>, or curriculum=paper for a chain of stages. There are: {listed}"
+        )
     trainer = Trainer(resume_config(config, overrides), overrides)
     print(trainer.describe(), flush=True)
     try:

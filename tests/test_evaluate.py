@@ -12,8 +12,8 @@ import torch
 from PIL import Image
 
 from skatemount.agents.trained_policy import MODULE, make_policy_card
-from skatemount.cli import _check_choices
-from skatemount.config import compose
+from skatemount.config import compose, compose_program
+from skatemount.config.overrides import prepare
 from skatemount.envs.task import MountTask
 from skatemount.evaluate import evaluate
 from skatemount.models.actor_critic import ActorCritic
@@ -36,7 +36,7 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(policy: Path, *overrides: str) -> None:
     given = [f"checkpoint={policy}", "episodes=5", *overrides]
-    evaluate(compose(None, [*given, "torch_threads=1", *SHORT]), [*given, *SHORT])
+    evaluate(compose_program("evaluate", [*given, *SHORT]), [*given, *SHORT])
 
 
 def test_prints_a_table_and_writes_the_same(policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -104,7 +104,7 @@ def test_a_mistake_is_one_line(policy: Path, tmp_path: Path) -> None:
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
     assert result.returncode == 2
     assert result.stderr == (
-        "skatemount.evaluate: suite=walk is not a suite; there are: all, approach-fixed, approach-unfixed, "
+        "skatemount.evaluate: suite=walk: there is no suite walk; there are: all, approach-fixed, approach-unfixed, "
         "balance-fixed, far, gait, low-friction, mount-fixed, mount-unfixed, other-boards, pushed, rolling\n"
     )
     assert result.stdout == ""
@@ -113,10 +113,10 @@ def test_a_mistake_is_one_line(policy: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["-m", "suite=far,fra"], "suite=fra is not a suite; there are: all, "),
-        (["suite=null"], "suite=null: leave suite out for the checkpoint's own task"),
+        (["-m", "suite=far,fra"], "there is no suite fra; there are: all, "),
+        (["suite=null"], "suite=null: leave suite out for the task that the policy was trained in"),
     ],
 )
 def test_suites_are_looked_up_before_anything_runs(arguments: list[str], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
-        _check_choices(arguments)
+        prepare([each for each in arguments if each != "-m"], "evaluate")

@@ -13,7 +13,7 @@ import torch
 from PIL import Image
 
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
-from skatemount.config import Config, compose, to_dict
+from skatemount.config import Config, compose, compose_program, to_dict
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import Evaluator
@@ -49,7 +49,7 @@ def checkpoint(runs_root: Path) -> Path:
 @needs_opengl
 def test_makes_a_film_and_a_filmstrip(checkpoint: Path, capsys: pytest.CaptureFixture[str]) -> None:
     overrides = ["episode_length=0.12", "physics.threads=1", "physics.num_worlds=4", "episode=2"]
-    record(compose(None, overrides), overrides)
+    record(compose_program("record", overrides), overrides)
     videos = checkpoint.parent.parent / "videos"
     film, strip = sorted(videos.iterdir())
     printed = capsys.readouterr().out
@@ -118,4 +118,4 @@ def final_positions(trial: EvaluationTask, rounds: int) -> dict[int, np.ndarray]
 
 def test_a_suite_of_suites_cannot_be_filmed(checkpoint: Path) -> None:
     with pytest.raises(ConfigError, match="suite=all: name one to film, of gait, balance-fixed"):
-        record(compose(None, ["suite=all"]), ["suite=all"])
+        record(compose_program("record", ["suite=all"]), ["suite=all"])

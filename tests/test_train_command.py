@@ -16,7 +16,10 @@ import yaml
 from tiny import BATCH, TINY
 
 from skatemount import cli
-from skatemount.config import compose, from_dict, to_dict
+from skatemount.config import compose, from_dict, stages, to_dict
+from skatemount.config.files import groups
+from skatemount.config.keys import is_known
+from skatemount.config.programs import PROGRAMS
 from skatemount.runs.checkpoint import load_training_state
 from skatemount.runs.folder import RunFolder
 from skatemount.train import train
@@ -45,7 +48,7 @@ def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], 
 def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:
     status, _, err = command()
     assert status == 2
-    assert err.count("\n") == 1 and err.startswith("skatemount.train: no stage: add +stage=<name>")
+    assert err.count("\n") == 1 and err.startswith("skatemount.train: no stage: give stage=<name>")
     for stage in ("approach", "balance", "forward", "gait", "mount", "unfixed"):
         assert f"{stage} (" in err
 
@@ -53,8 +56,7 @@ def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (["+stage=balanced"], "stage=balanced is not a stage; there are: anywhere, approach,"),
-        (["stage=balance"], "stage=balance: write +stage=balance"),
+        (["+stage=balanced"], "+stage=balanced: there is no stage balanced; there are: anywhere, approach,"),
         (["+stage=balance", "total_frame=3"], "total_frame"),
         (["+stage=balance", "reward.alive.weight=-1", "physics.num_worlds=2"], "reward.alive.weight=-1.0 must be"),
         (["+stage=balance", "network=smal"], "small"),
@@ -63,10 +65,10 @@ def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:
         (["resume=runs/none"], "runs/none"),
         (
             ["+stage=mount", "checkpoint=latest"],
-            "of skatemount.evaluate and record only; training starts from init_from",
+            "of evaluate and record; a training starts from init_from=<policy>",
         ),
-        (["+stage=mount", "suite=far"], "suite=far: a setting of skatemount.evaluate and record only"),
-        (["-m", "+stage=balance,mouunt"], "stage=mouunt is not a stage"),
+        (["+stage=mount", "suite=far"], "suite=far: not a setting of train, but of evaluate and record"),
+        (["-m", "+stage=balance,mouunt"], "there is no stage mouunt"),
     ],
 )
 def test_mistakes_are_one_line(arguments: list[str], expected: str, command: Callable[..., Any]) -> None:
@@ -83,7 +85,7 @@ def test_command_trains(command: Callable[..., Any], runs_root: Path) -> None:
     assert "balance: 8 worlds" in out
     left = RunFolder.open(runs_root / (runs_root / "latest").read_text().strip())
     overrides = yaml.safe_load((left.path / "overrides.yaml").read_text())
-    assert overrides == ["+stage=balance", *TINY, f"total_frames={BATCH}"]
+    assert overrides == ["stage=balance", *TINY, f"total_frames={BATCH}"]
     assert from_dict(left.config) == compose("balance", overrides[1:])
     assert to_dict(from_dict(left.config)) == left.config
     assert sorted(p.name for p in runs_root.parent.iterdir()) == ["runs"]  # nothing of Hydra's is left about
@@ -142,8 +144,37 @@ def test_sigterm_leaves_a_run_that_can_go_on(runs_root: Path) -> None:
     assert load_training_state(left.latest)["frames"] >= 2 * BATCH
 
 
-def test_the_stage_comes_before_what_is_chosen_on_top_of_it() -> None:
-    from skatemount.cli import _stage_first
+def test_a_stage_with_and_without_a_plus_in_a_multirun(command: Callable[..., Any], runs_root: Path) -> None:
+    for stage in ("stage=balance,mount", "+stage=balance,mount"):
+        status, out, err = command("-m", stage, *TINY, f"total_frames={BATCH}", "init_from=null")
+        assert status == 0 and "balance: 8 worlds" in out and "mount: 8 worlds" in out, err
 
-    given = ["-m", "+experiment=paper", "seed=0,1", "+stage=unfixed", "--cfg", "job"]
-    assert _stage_first(given) == ["-m", "+stage=unfixed", "+experiment=paper", "seed=0,1", "--cfg", "job"]
+
+def test_an_old_name_works_with_a_hint(command: Callable[..., Any]) -> None:
+    status, _, err = command("stage=balance", *TINY, "collector.steps=2", f"total_frames={BATCH}")
+    assert status == 0 and err == "note: collector.steps is called collector.steps_per_env now\n"
+
+
+@pytest.mark.parametrize("program", ["train", "evaluate", "record", "bench"])
+def test_help_fits_a_screen_and_names_what_there_is(program: str) -> None:
+    lines = cli.help_text(program).splitlines()
+    assert len(lines) <= 30 and max(map(len, lines)) <= 110
+    text = "\n".join(lines)
+    assert f"python -m skatemount.{program} " in text
+    named = {word.partition("=")[0] for word in text.split() if "=" in word and word[0].isalpha()}
+    schema = PROGRAMS[program]
+    assert all(is_known(schema, key) or key in groups(program) for key in named), named
+    if program == "train":
+        assert all(stage in text for stage in stages())
+
+
+def test_help_needs_no_torch() -> None:
+    code = """if True:
+        import sys
+        sys.argv = ["train", "--help"]
+        from skatemount.train import main
+        main()
+        print("torch" in sys.modules)
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.splitlines()[0].startswith("Train a policy") and done.stdout.splitlines()[-1] == "False"

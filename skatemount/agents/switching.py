@@ -14,7 +14,7 @@ from skatemount.agents.interface import feature_indices
 from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.envs.mount_env import MountEnv
 from skatemount.models.actor_critic import ActorCritic
-from skatemount.runs.find import PRETRAINED, is_shipped
+from skatemount.runs.shipped import PRETRAINED, shipped_file
 from skatemount.utils.errors import ConfigError
 
 MARGIN = 0.3
@@ -117,7 +117,8 @@ class SwitchingAgent(TrainedPolicy):
         if len(names) != 2 or not all(names):
             raise ConfigError(f"pipeline={spec} must be two policies, WALK+MOUNT, such as gait+mount")
         walker, mounter = (
-            TrainedPolicy.load(f"{PRETRAINED}{name}" if is_shipped(name) else name, root, "pipeline") for name in names
+            TrainedPolicy.load(f"{PRETRAINED}{name}" if shipped_file(name) else name, root, "pipeline")
+            for name in names
         )
         if walker.card.action != mounter.card.action:
             raise ConfigError(

@@ -16,8 +16,9 @@ from skatemount.config import Config
 from skatemount.envs.task import MountTask
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.runs.checkpoint import PolicyCard, load_policy
-from skatemount.runs.find import POLICIES, PRETRAINED, find_checkpoint
+from skatemount.runs.find import find_checkpoint
 from skatemount.runs.provenance import package_versions
+from skatemount.runs.shipped import POLICIES, PRETRAINED
 from skatemount.utils.errors import ConfigError
 
 if TYPE_CHECKING:

@@ -1,15 +1,20 @@
 """Settings: their schema, composed from YAML and checked."""
 
-from skatemount.config.compose import compose, compose_task, from_dict, to_dict, to_object
-from skatemount.config.files import check_stage, check_suite, config_dir, stages, suites
+from skatemount.config.compose import compose, compose_program, compose_task, from_dict, to_dict
+from skatemount.config.files import check_choice, config_dir, stages, suites
 from skatemount.config.messages import one_line
+from skatemount.config.programs import BenchProgramConfig, EvaluateConfig, PolicyConfig, RecordConfig
 from skatemount.config.schema import Config
 
 __all__ = [
+    "BenchProgramConfig",
     "Config",
-    "check_stage",
-    "check_suite",
+    "EvaluateConfig",
+    "PolicyConfig",
+    "RecordConfig",
+    "check_choice",
     "compose",
+    "compose_program",
     "compose_task",
     "config_dir",
     "from_dict",
@@ -17,5 +22,4 @@ __all__ = [
     "stages",
     "suites",
     "to_dict",
-    "to_object",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from skatemount.utils.errors import ConfigError
 
@@ -20,12 +20,12 @@ class BenchConfig:
         start: Whether to measure how long the training command takes until its first iteration is done.
     """
 
-    worlds: list[int] = field(default_factory=lambda: [64, 256, 512, 1024, 2048, 4096, 8192])
-    threads: list[int] = field(default_factory=list)
-    rounds: int = 3
-    seconds: float = 4.0
-    profile: bool = True
-    start: bool = True
+    worlds: list[int]
+    threads: list[int]
+    rounds: int
+    seconds: float
+    profile: bool
+    start: bool
 
     def validate(self, where: str = "bench") -> None:
         """Raise `ConfigError` for values that cannot be measured with."""

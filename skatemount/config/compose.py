@@ -1,92 +1,185 @@
-"""The configuration as one validated whole: Hydra composes the YAML groups, dataclasses say what they may hold."""
+"""Settings composed from YAML by Hydra, and checked."""
 
 from __future__ import annotations
 
+import copy
+import functools
+import re
 from collections.abc import Sequence
 from typing import Any
 
 import hydra
-from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
-from skatemount.config.files import check_stage, config_dir
+from skatemount.config.files import check_choice, config_dir
+from skatemount.config.keys import in_words, is_known, keys, unknown
 from skatemount.config.messages import one_line
+from skatemount.config.overrides import prepare
+from skatemount.config.programs import PROGRAMS
 from skatemount.config.schema import Config
-from skatemount.config.versions import rename_override, upgrade
+from skatemount.config.versions import FORMAT, upgrade
 from skatemount.envs.config.task import TaskConfig
 from skatemount.utils.errors import ConfigError
 
-
-def _schema() -> DictConfig:
-    """The dataclasses as Hydra's schema; rows may be added to the tables of terms, which check their own names."""
-    schema = OmegaConf.structured(Config)
-    for table in ("reward", "termination", "observation.policy", "observation.privileged"):
-        OmegaConf.set_struct(OmegaConf.select(schema, table), False)
-    return schema
-
-
-ConfigStore.instance().store(name="schema", node=_schema())
-
-
-def to_object(config: DictConfig | ListConfig) -> Config:
-    """A composed configuration as dataclasses, validated.
-
-    Raises:
-        ConfigError: A value that cannot be used.
-    """
-    result = OmegaConf.to_object(config)
-    assert isinstance(result, Config)
-    result.validate()
-    return result
+_WRITTEN_WITH_EXPONENT = re.compile(r"[+-]?\d+(\.\d*)?[eE]\+?\d+")
 
 
 def compose(stage: str | None = None, overrides: Sequence[str] = ()) -> Config:
-    """Compose a configuration from Python; works while a Hydra application is running, too.
+    """Compose the settings of a training from Python; works inside a running Hydra application, too.
 
     Args:
-        stage: Name of a stage, or none.
-        overrides: Further settings in Hydra's syntax.
+        stage: Name of a stage.
+        overrides: Further settings as on the command line, ``["board=longboard", "reward.mounted.weight=5"]``.
 
     Raises:
         ConfigError: An unknown stage, setting or value.
     """
     if stage is not None:
-        check_stage(stage)
-        overrides = [f"+stage={stage}", *overrides]
+        check_choice("stage", stage)
+        overrides = [f"stage={stage}", *overrides]
+    config = compose_program("train", overrides)
+    assert isinstance(config, Config)
+    return config
+
+
+def compose_task(stage: str | None = None, overrides: Sequence[str] = ()) -> TaskConfig:
+    """Compose the settings of a task; the arguments are those of `compose`."""
+    return compose(stage, overrides)
+
+
+def compose_program(program: str, overrides: Sequence[str]) -> TaskConfig:
+    """Compose the settings of one of the programs.
+
+    Args:
+        program: A key of `PROGRAMS`.
+        overrides: Settings as on the command line.
+
+    Raises:
+        ConfigError: An unknown setting or value.
+    """
+    values = _composed(program, tuple(prepare(overrides, program)), _fingerprint())
+    return checked(copy.deepcopy(values), program)
+
+
+@functools.lru_cache(maxsize=64)
+def _composed(program: str, overrides: tuple[str, ...], fingerprint: tuple[int, int]) -> dict[str, Any]:
+    """Return composed values; evaluations and chains ask for the same ones again, and Hydra takes a third of a second.
+
+    Args:
+        program: A key of `PROGRAMS`.
+        overrides: In Hydra's form.
+        fingerprint: State of the YAML files.
+    """
     # Hydra knows one application at a time: a running one steps aside.
     running, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None
     try:
         with hydra.initialize_config_dir(str(config_dir().absolute()), version_base="1.3"):
-            composed = hydra.compose("config", [rename_override(each) for each in overrides])
+            return plain(hydra.compose(program, list(overrides)))
+    except ConfigError:
+        raise
     except Exception as error:
         raise ConfigError(one_line(error)) from error
     finally:
         GlobalHydra.instance().hydra = running
-    return to_object(composed)
 
 
-def compose_task(stage: str | None = None, overrides: Sequence[str] = ()) -> TaskConfig:
-    """The task's part of `compose`."""
-    return compose(stage, overrides)
+def _fingerprint() -> tuple[int, int]:
+    """Return a number of files and a time that change when a YAML file does."""
+    times = [path.stat().st_mtime_ns for path in config_dir().rglob("*.yaml")]
+    return len(times), max(times)
+
+
+def plain(composed: DictConfig) -> dict[str, Any]:
+    """Return composed settings as plain values, interpolations resolved.
+
+    Raises:
+        ConfigError: An interpolation that leads nowhere.
+    """
+    try:
+        values = OmegaConf.to_container(composed, resolve=True)
+    except OmegaConfBaseException as error:
+        raise ConfigError(one_line(error)) from error
+    assert isinstance(values, dict)
+    return values  # type: ignore[return-value]
+
+
+def checked(values: dict[str, Any], program: str) -> TaskConfig:
+    """Return plain values as the dataclasses of a program, validated.
+
+    Args:
+        values: Nested settings; whole numbers that YAML reads as text or floats are changed in place.
+        program: A key of `PROGRAMS`.
+
+    Raises:
+        ConfigError: A key that does not exist, one that is missing, or a value that cannot be used.
+    """
+    schema = PROGRAMS[program]
+    _check_keys(values, schema, program)
+    try:
+        result = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(schema), values))
+    except ConfigError:
+        raise
+    except MissingMandatoryValue as error:
+        raise ConfigError(f"{error.full_key} is missing: give {error.full_key}=<value>") from error
+    except OmegaConfBaseException as error:
+        raise ConfigError(_wrong_type(error, values, schema)) from error
+    assert isinstance(result, TaskConfig)
+    result.validate()
+    result.validate_terms()
+    return result
+
+
+def _check_keys(values: dict[str, Any], schema: type[TaskConfig], program: str, prefix: str = "") -> None:
+    known = keys(schema)
+    for name, value in values.items():
+        key = f"{prefix}{name}"
+        if not is_known(schema, key):
+            raise ConfigError(unknown(program, key, key if isinstance(value, dict) else f"{key}={value}"))
+        if isinstance(value, dict) and any(each.startswith(f"{key}.") for each in known):
+            _check_keys(value, schema, program, f"{key}.")
+        elif known.get(key) is int and (isinstance(value, float) and value.is_integer() or _is_exponent(value)):
+            # YAML reads 1e6 as text, and 1.0e+6 as a float.
+            values[name] = int(float(value))
+
+
+def _is_exponent(value: Any) -> bool:
+    whole = isinstance(value, str) and len(value) < 30 and _WRITTEN_WITH_EXPONENT.fullmatch(value)
+    return bool(whole) and float(value).is_integer()
+
+
+def _wrong_type(error: OmegaConfBaseException, values: dict[str, Any], schema: type[TaskConfig]) -> str:
+    """Return an error that names the setting, its value and the values that it takes."""
+    key = re.sub(r"\[.*", "", error.full_key or "")
+    hint = keys(schema).get(key)
+    if hint is None:
+        return one_line(error)
+    value: Any = values
+    for part in key.split("."):
+        value = value.get(part) if isinstance(value, dict) else None
+    return f"{key}={'null' if value is None else value} must be {in_words(hint)}"
 
 
 def from_dict(values: dict[str, Any]) -> Config:
-    """The configuration that a run or a card has saved.
+    """Return the settings that a run or a policy card has saved.
+
+    Args:
+        values: Result of `to_dict`, of this version or an older one; see `skatemount.config.versions`.
 
     Raises:
-        ConfigError: It does not fit this version's settings.
+        ConfigError: They are damaged, or of a newer version.
     """
     try:
-        return to_object(OmegaConf.merge(OmegaConf.structured(Config), upgrade(values, 1)))
-    except ConfigError:
-        raise
-    except Exception as error:
-        raise ConfigError(f"saved configuration: {one_line(error)}") from error
+        config = checked(upgrade(values), "train")
+    except ConfigError as error:
+        raise ConfigError(f"saved settings: {error}") from error
+    assert isinstance(config, Config)
+    return config
 
 
 def to_dict(config: Config) -> dict[str, Any]:
-    """A configuration as plain values."""
+    """Return settings as plain values, with the format that they are in."""
     values = OmegaConf.to_container(OmegaConf.structured(config))
     assert isinstance(values, dict)
-    return values  # type: ignore[return-value]
+    return {"format": FORMAT, **values}

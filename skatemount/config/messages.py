@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
-import re
-
-from skatemount.config.schema import Config
-
 
 def one_line(error: BaseException) -> str:
-    """What an error of Hydra or OmegaConf says, without the lines that are about their insides."""
+    """Return the message of an error of Hydra or OmegaConf, without the lines about their insides."""
     chain: list[BaseException] = []
     cause: BaseException | None = error
     while cause is not None:
@@ -44,20 +38,4 @@ def one_line(error: BaseException) -> str:
         if keys and keys[0] not in text:
             text += f" ({keys[0]})"
         said.append(text)
-    text = ": ".join(said)
-    if whole := re.search(r"Value '(\d+)\.0' of type 'float' could not be converted to Integer", text):
-        text += f"; write {whole[1]}"
-    missing = re.search(r"Key '(\w+)' (?:not in '(\w+)'|is not in struct)", text)
-    close = difflib.get_close_matches(missing[1], _settings(missing[2]), n=3) if missing else []
-    return f"{text}; did you mean {' or '.join(close)}?" if close else text
-
-
-def _settings(kind: str | None, of: type = Config) -> list[str]:
-    """Names of the settings of a dataclass of the configuration; of all of them if it is not known."""
-    names: list[str] = []
-    for part in dataclasses.fields(of):
-        if kind in (None, of.__name__):
-            names.append(part.name)
-        if isinstance(part.default_factory, type) and dataclasses.is_dataclass(part.default_factory):
-            names += _settings(kind, part.default_factory)
-    return names
+    return ": ".join(said)

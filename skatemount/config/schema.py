@@ -1,12 +1,10 @@
-"""Every setting, as dataclasses."""
+"""Settings of a training, as dataclasses. They hold no values: YAML is the only place of a default."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from skatemount.config.bench import BenchConfig
-from skatemount.config.files import check_stage
-from skatemount.config.suite import SuiteConfig
+from skatemount.config.files import check_choice
 from skatemount.curriculum.config import CurriculumConfig
 from skatemount.envs.config.task import HOLD, TaskConfig
 from skatemount.losses.config import AlgorithmConfig
@@ -14,168 +12,179 @@ from skatemount.models.config import NetworkConfig
 from skatemount.utils.errors import ConfigError
 
 PRECISIONS = ("highest", "medium", "bf16")
+MAX_SEED = 2**62
 
 
 @dataclass
 class StageConfig:
-    """What a stage is called and starts from.
+    """Name, initial policy and end of a stage.
 
     Attributes:
-        name: Of the stage.
-        description: One line.
-        init_from: Policy that the stage starts from; nothing if null.
-        gate: Deterministic success in one of the training's evaluations that ends the training; only ``total_frames``
-            does if null.
-        renormalize: Take the observations' mean and deviation from the stage's own first batch, which nothing is
-            learned from, and not from what the policy that it starts from saw.
+        name: Name of the stage.
+        description: One line about it.
+        init_from: Policy that the stage starts from; null starts from scratch.
+        gate: Success rate of an evaluation at which the training ends early; null trains for ``total_frames``.
+        renormalize: Take the observations' mean and deviation from the first batch, which is not learned from,
+            instead of the initial policy's.
     """
 
-    name: str = ""
-    description: str = ""
-    init_from: str | None = None
-    gate: float | None = None
-    renormalize: bool = False
+    name: str
+    description: str
+    init_from: str | None
+    gate: float | None
+    renormalize: bool
 
 
 @dataclass
 class CollectorConfig:
-    """How a batch of experience is collected.
+    """Collection of rollouts.
 
     Attributes:
-        steps_per_env: Control steps a world between two updates.
-        random_phase: Let the first episodes start at random phases, so that they do not all end at once.
-        max_mounted_time: End an episode, as at its time limit, once the robot has stood on the board for so many
-            seconds; null to let it stand. Evaluations always do.
+        steps_per_env: Control steps of each world between two updates.
+        random_phase: Start the first episodes at random phases, so that they do not all end at once.
+        max_mounted_time: Truncate an episode after the robot has stood on the board for this long, s; null lets it
+            stand until the time limit. Evaluations always do.
     """
 
-    steps_per_env: int = 24
-    random_phase: bool = True
-    max_mounted_time: float | None = None
+    steps_per_env: int
+    random_phase: bool
+    max_mounted_time: float | None
+
+    def validate(self, where: str = "collector") -> None:
+        """Raise `ConfigError` for values that cannot be used."""
+        if self.steps_per_env < 1:
+            raise ConfigError(f"{where}.steps_per_env={self.steps_per_env} must be at least 1")
+        if self.max_mounted_time is not None and not self.max_mounted_time >= HOLD:
+            raise ConfigError(
+                f"{where}.max_mounted_time={self.max_mounted_time} must be null, or at least the {HOLD:g} s of "
+                "standing that a success takes"
+            )
 
 
 @dataclass
 class LoggerConfig:
-    """What is written, and how often.
+    """Output of a run.
 
     Attributes:
         root: Folder of all runs.
-        experiment: Folder of this experiment's runs below it.
-        name: Of the run; the stage's name if null.
-        tensorboard: Whether to write TensorBoard events.
-        csv: Whether to write ``metrics.csv``, from which the curves are drawn.
-        progress_every: Seconds between two lines of progress where the output is no terminal.
-        plot_every: Seconds between two drawings of the learning curves.
+        experiment: Folder below ``root`` for the runs of this experiment.
+        name: Name of the run; null takes the stage's name.
+        tensorboard: Write TensorBoard events.
+        csv: Write ``metrics.csv``, from which the learning curves are drawn.
+        progress_every: Seconds between two lines of progress when the output is not a terminal.
+        plot_every: Seconds between two updates of the learning curves' picture.
         checkpoint_every: Iterations between two checkpoints.
-        keep_checkpoints: How many of the newest are kept; the best is kept besides.
-        evaluate_every: Iterations between two deterministic evaluations; 0 for none.
-        evaluate_episodes: Episodes of each.
+        keep_checkpoints: Number of the newest checkpoints to keep; the best one is kept as well.
+        evaluate_every: Iterations between two evaluations during training; 0 for none.
+        evaluate_episodes: Episodes of each of them.
         final_episodes: Episodes of the evaluation at the end; 0 for none.
     """
 
-    root: str = "runs"
-    experiment: str = "skatemount"
-    name: str | None = None
-    tensorboard: bool = True
-    csv: bool = True
-    progress_every: float = 5.0
-    plot_every: float = 60.0
-    checkpoint_every: int = 100
-    keep_checkpoints: int = 3
-    evaluate_every: int = 50
-    evaluate_episodes: int = 256
-    final_episodes: int = 1000
+    root: str
+    experiment: str
+    name: str | None
+    tensorboard: bool
+    csv: bool
+    progress_every: float
+    plot_every: float
+    checkpoint_every: int
+    keep_checkpoints: int
+    evaluate_every: int
+    evaluate_episodes: int
+    final_episodes: int
+
+    def validate(self, where: str = "logger") -> None:
+        """Raise `ConfigError` for values that cannot be used."""
+        check_root(self.root, where)
+        for name in ("progress_every", "plot_every"):
+            if not getattr(self, name) >= 0:
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be 0 or more, in seconds")
+        for name in ("checkpoint_every", "keep_checkpoints", "evaluate_episodes"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
+        for name in ("evaluate_every", "final_episodes"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be 0 (none) or more")
 
 
 @dataclass
 class Config(TaskConfig):
-    """Every setting; see ``conf/config.yaml``."""
+    """Settings of a training; ``conf/train.yaml`` has the defaults.
 
-    stage: StageConfig = field(default_factory=StageConfig)
-    network: NetworkConfig = field(default_factory=NetworkConfig)
-    algorithm: AlgorithmConfig = field(default_factory=AlgorithmConfig)
-    curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
-    collector: CollectorConfig = field(default_factory=CollectorConfig)
-    logger: LoggerConfig = field(default_factory=LoggerConfig)
-    bench: BenchConfig = field(default_factory=BenchConfig)
-    seed: int = 0
-    total_frames: int = 6_000_000
-    precision: str = "medium"
-    torch_threads: int = 0
-    init_from: str | None = "stage"
-    init_from_expand: bool = False
-    resume: str | None = None
-    checkpoint: str = "latest"
-    pipeline: str | None = None
-    switch_distance: float = 1.0
-    suite: SuiteConfig | None = None
-    episodes: int = 1000
-    episode: int = 0
-    json: str | None = None
-    output: str | None = None
+    Attributes:
+        stage: Name and initial policy of the stage.
+        network: Sizes of the networks.
+        algorithm: Hyper-parameters of PPO.
+        curriculum: Order in which start states are practised.
+        collector: Collection of rollouts.
+        logger: Output of a run.
+        seed: Seed of all random numbers.
+        total_frames: Environment steps of all worlds together, at which the training ends.
+        precision: Precision of float32 matrix products, ``highest`` or ``medium``, or ``bf16`` for the updates.
+        torch_threads: Torch's threads; 0 takes every core.
+        init_from: Initial policy: ``stage`` (the one that the stage names), null (from scratch), or what ``checkpoint``
+            of `EvaluateConfig` may be.
+        init_from_expand: Allow a network that is larger than the initial policy's, or has more observations.
+        resume: Run to resume; null starts a new one.
+    """
+
+    stage: StageConfig
+    network: NetworkConfig
+    algorithm: AlgorithmConfig
+    curriculum: CurriculumConfig
+    collector: CollectorConfig
+    logger: LoggerConfig
+    seed: int
+    total_frames: int
+    precision: str
+    torch_threads: int
+    init_from: str | None
+    init_from_expand: bool
+    resume: str | None
 
     def validate(self) -> None:
-        """Raise `ConfigError` for the first setting that cannot be used."""
+        """Raise `ConfigError` for the first setting that cannot be used; `validate_terms` checks the tables."""
         super().validate()
         self.network.validate("network")
         self.algorithm.validate("algorithm")
         self.curriculum.validate("curriculum")
-        self.bench.validate("bench")
-        if self.suite is not None:
-            self.suite.validate("suite")
-        if self.curriculum.kind == "stages":
-            if self.stage.name:
-                raise ConfigError(
-                    f"+stage={self.stage.name} with +curriculum={self.curriculum.name}: the curriculum runs its own "
-                    f"stages ({', '.join(self.curriculum.stages)}): leave out one of the two"
-                )
-            for name, link in self.curriculum.stages.items():
-                check_stage(name)
-                self._check_gate(f"curriculum.stages.{name}.gate", link.gate)
-        elif self.curriculum.kind != "none" and self.success != "mount":
-            raise ConfigError(
-                f"curriculum.kind={self.curriculum.kind} opens start states about the board, and stage "
-                f"{self.stage.name} is not about mounting it: leave out the curriculum"
-            )
+        self.collector.validate("collector")
+        self.logger.validate("logger")
+        check_seed(self.seed)
+        self._validate_curriculum()
+        self._check_gate("stage.gate", self.stage.gate)
         final, low, high = self.algorithm.final_std, self.network.min_std, self.network.max_std
         if final is not None and not low <= final <= high:
             raise ConfigError(
-                f"algorithm.final_std={final} must be within network.min_std={low} and network.max_std={high}, from "
-                "which it falls"
+                f"algorithm.final_std={final} must be between network.min_std={low} and network.max_std={high}, its "
+                "initial value"
             )
-        self._check_gate("stage.gate", self.stage.gate)
-        if not self.logger.root:
-            raise ConfigError("logger.root='' must name a folder, such as runs")
-        for name in ("progress_every", "plot_every"):
-            if not getattr(self.logger, name) >= 0:
-                raise ConfigError(f"logger.{name}={getattr(self.logger, name)} must be 0 or more, in seconds")
         if self.precision not in PRECISIONS:
             raise ConfigError(f"precision={self.precision} must be one of {', '.join(PRECISIONS)}")
-        for name in ("total_frames", "episodes"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name}={getattr(self, name)} must be at least 1")
-        for name, most in (("seed", 2**62), ("episode", 2**40), ("torch_threads", 1024)):
-            if not 0 <= getattr(self, name) <= most:
-                raise ConfigError(f"{name}={getattr(self, name)} must be 0 or more, and at most {most}")
-        if not self.switch_distance > 0:
-            raise ConfigError(f"switch_distance={self.switch_distance} must be above 0, in metres")
-        if self.collector.steps_per_env < 1:
-            raise ConfigError(f"collector.steps_per_env={self.collector.steps_per_env} must be at least 1")
-        if self.collector.max_mounted_time is not None and not self.collector.max_mounted_time >= HOLD:
-            raise ConfigError(
-                f"collector.max_mounted_time={self.collector.max_mounted_time} must be null or at least {HOLD:g}, "
-                f"the seconds of "
-                "standing that a success takes"
-            )
-        for name in ("checkpoint_every", "keep_checkpoints", "evaluate_episodes"):
-            if getattr(self.logger, name) < 1:
-                raise ConfigError(f"logger.{name}={getattr(self.logger, name)} must be at least 1")
-        for name in ("evaluate_every", "final_episodes"):
-            if getattr(self.logger, name) < 0:
-                raise ConfigError(f"logger.{name}={getattr(self.logger, name)} must be 0 (none) or more")
+        if self.total_frames < 1:
+            raise ConfigError(f"total_frames={self.total_frames} must be at least 1")
+        if not 0 <= self.torch_threads <= 1024:
+            raise ConfigError(f"torch_threads={self.torch_threads} must be 0 (every core) to 1024")
         batch = self.physics.num_worlds * self.collector.steps_per_env
         if self.algorithm.minibatches > batch:
             raise ConfigError(
                 f"algorithm.minibatches={self.algorithm.minibatches} must be at most the {batch} steps of a batch"
+            )
+
+    def _validate_curriculum(self) -> None:
+        if self.curriculum.kind == "stages":
+            if self.stage.name:
+                raise ConfigError(
+                    f"stage={self.stage.name} with curriculum={self.curriculum.name}: this curriculum has its own "
+                    f"stages ({', '.join(self.curriculum.stages)}); leave out one of the two"
+                )
+            for name, link in self.curriculum.stages.items():
+                check_choice("stage", name)
+                self._check_gate(f"curriculum.stages.{name}.gate", link.gate)
+        elif self.curriculum.kind != "none" and self.success != "mount":
+            raise ConfigError(
+                f"curriculum.kind={self.curriculum.kind} needs a stage with a board to mount, but the stage is "
+                f"{self.stage.name}; use curriculum=none"
             )
 
     def _check_gate(self, where: str, gate: float | None) -> None:
@@ -184,4 +193,16 @@ class Config(TaskConfig):
         if not 0 < gate <= 1:
             raise ConfigError(f"{where}={gate} must be a success rate above 0 and at most 1, or null for none")
         if not self.logger.evaluate_every:
-            raise ConfigError(f"{where}={gate} needs evaluations: give logger.evaluate_every above 0, or {where}=null")
+            raise ConfigError(f"{where}={gate} needs evaluations: set logger.evaluate_every above 0, or {where}=null")
+
+
+def check_seed(seed: int) -> None:
+    """Raise `ConfigError` for a seed that torch's generators do not take."""
+    if not 0 <= seed <= MAX_SEED:
+        raise ConfigError(f"seed={seed} must be 0 to {MAX_SEED}")
+
+
+def check_root(root: str, where: str) -> None:
+    """Raise `ConfigError` unless the folder of all runs has a name."""
+    if not root:
+        raise ConfigError(f"{where}.root='' must name a folder, such as runs")

@@ -9,6 +9,9 @@ from __future__ import annotations
 import copy
 from typing import Any
 
+from skatemount.runs.shipped import ALIASES
+from skatemount.utils.errors import ConfigError
+
 FORMAT = 2
 
 RENAMED: dict[str, str] = {
@@ -51,21 +54,38 @@ ADDED: dict[str, Any] = {
 """Settings that saved files of format 1 may lack, with the value that they had when they were not settings yet."""
 
 
-def upgrade(values: dict[str, Any], saved_format: int) -> dict[str, Any]:
+REMOVED = ("bench", "checkpoint", "episode", "episodes", "json", "output", "pipeline", "suite", "switch_distance")
+"""Settings of other programs, which files of format 1 hold as well."""
+
+
+def upgrade(values: dict[str, Any]) -> dict[str, Any]:
     """Return saved settings under today's names, with the settings that did not exist when they were saved.
 
     Args:
-        values: Nested settings as they were saved; left as they are.
-        saved_format: The format that they were saved in.
+        values: Nested settings as they were saved, with their ``format``; left as they are.
+
+    Raises:
+        ConfigError: The format is none, or newer than this version's.
     """
     values = copy.deepcopy(values)
-    if saved_format >= FORMAT:
+    saved = values.pop("format", 1)
+    if type(saved) is not int or saved < 1:
+        raise ConfigError(f"format={saved!r} must be a whole number from 1 to {FORMAT}")
+    if saved > FORMAT:
+        raise ConfigError(f"format={saved} is newer than {FORMAT}, the newest that this version reads")
+    if saved == FORMAT:
         return values
     for old, new in RENAMED.items():
         *groups, name = old.split(".")
         holder = _group(values, groups)
         if name in holder:
             holder[new.split(".")[-1]] = holder.pop(name)
+    for name in REMOVED:
+        values.pop(name, None)
+    for holder in (values, _group(values, ["stage"])):
+        if isinstance(spec := holder.get("init_from"), str):
+            prefix, colon, name = spec.partition(":")
+            holder["init_from"] = f"{prefix}{colon}{ALIASES.get(name, name)}"
     for key, value in ADDED.items():
         *groups, name = key.split(".")
         _group(values, groups).setdefault(name, copy.deepcopy(value))

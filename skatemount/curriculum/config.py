@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from skatemount.utils.errors import ConfigError
@@ -67,24 +67,24 @@ class CurriculumConfig:
             ``stages``.
     """
 
-    kind: str = "none"
-    name: str = ""
-    stages: dict[str, StageLink] = field(default_factory=dict)
-    params: dict[str, Any] = field(default_factory=dict)
-    distances: list[float] = field(default_factory=lambda: [0.06, 0.12, 0.18, 0.24, 0.32, 0.4, 0.5, 0.65, 0.8, 1.05])
-    bearings: list[float] = field(default_factory=lambda: [30.0, 60.0, 90.0])
-    headings: list[float] = field(default_factory=lambda: [20.0, 50.0, 90.0])
-    heights: list[float] = field(default_factory=lambda: [0.02, 0.04, 0.065, 0.088])
-    min_height: float = 0.008
-    free_board_after: float | None = 0.3
-    success_threshold: float = 0.6
-    solved_rate: float = 0.5
-    window: float = 40.0
-    min_episodes: float = 15.0
-    replay_fraction: float = 0.3
-    stage_range_fraction: float = 0.0
-    stage_range_from: float | None = None
-    stuck_start_fraction: float = 0.0
+    kind: str
+    name: str
+    stages: dict[str, StageLink]
+    params: dict[str, Any]
+    distances: list[float]
+    bearings: list[float]
+    headings: list[float]
+    heights: list[float]
+    min_height: float
+    free_board_after: float | None
+    success_threshold: float
+    solved_rate: float
+    window: float
+    min_episodes: float
+    replay_fraction: float
+    stage_range_fraction: float
+    stage_range_from: float | None
+    stuck_start_fraction: float
 
     def validate(self, where: str = "curriculum") -> None:
         """Raise `ConfigError` for settings that cannot be used."""

@@ -9,7 +9,7 @@ import mujoco
 import torch
 from torch import Tensor
 
-from skatemount.envs.config.randomization import RandomizationConfig, _one, _zero
+from skatemount.envs.config.randomization import RandomizationConfig
 from skatemount.envs.entities.a1 import scale_gains
 from skatemount.envs.sampling import uniform
 from skatemount.envs.scene import SceneIndex
@@ -62,16 +62,16 @@ class Randomizer:
             physics: The worlds.
         """
         c, index = self.config, self._index
-        if c.friction != _one():
+        if c.friction != [1.0, 1.0]:
             friction, nominal = self._field(physics, "geom_friction")
             geoms = index.touched_geoms
             friction[:, geoms, 0] = nominal[:, geoms, 0] * self._uniform(c.friction, friction, 1)
-        if c.truck_stiffness != _one():
+        if c.truck_stiffness != [1.0, 1.0]:
             stiffness, nominal = self._field(physics, "jnt_stiffness")
             trucks = index.truck_joints
             stiffness[:, trucks] = nominal[:, trucks] * self._uniform(c.truck_stiffness, stiffness, 1)
         changed = False
-        if c.trunk_mass != _zero() or c.board_mass != _one():
+        if c.trunk_mass != [0.0, 0.0] or c.board_mass != [1.0, 1.0]:
             mass, nominal = self._field(physics, "body_mass")
             board = self._uniform(c.board_mass, mass)
             trunk, deck = index.trunk_body, index.board_body
@@ -80,13 +80,13 @@ class Randomizer:
             inertia, nominal_inertia = self._field(physics, "body_inertia")
             inertia[:, deck] = nominal_inertia[:, deck] * board.unsqueeze(-1)
             changed = True
-        if c.inertia != _one():
+        if c.inertia != [1.0, 1.0]:
             inertia, nominal = self._field(physics, "body_inertia")
             bodies = index.robot_bodies
             factor = self._uniform(c.inertia, inertia, len(bodies), 1)
             inertia[:, bodies] = nominal[:, bodies] * factor
             changed = True
-        if c.trunk_com != _zero():
+        if c.trunk_com != [0.0, 0.0]:
             com, nominal = self._field(physics, "body_ipos")
             trunk = index.trunk_body
             com[:, trunk] = nominal[:, trunk] + self._uniform(c.trunk_com, com, 3)
@@ -102,7 +102,7 @@ class Randomizer:
             rows: ``[K]`` int64, the worlds that start anew.
         """
         c = self.config
-        if c.kp == _one() and c.kd == _one():
+        if c.kp == [1.0, 1.0] and c.kd == [1.0, 1.0]:
             return
         gain, nominal = self._field(physics, "actuator_gainprm")
         nominal = nominal.expand(len(rows), -1, -1)
@@ -129,7 +129,7 @@ class Pushes:
     @property
     def active(self) -> bool:
         """Whether there are any."""
-        return self.config.push_interval is not None and self.config.push_velocity != _zero()
+        return self.config.push_interval is not None and self.config.push_velocity != [0.0, 0.0]
 
     def _intervals(self, n: int) -> Tensor:
         return uniform((n,), self._generator, self.config.push_interval or (1e9, 1e9))

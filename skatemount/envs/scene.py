@@ -32,11 +32,11 @@ class Scene:
 
     def __init__(
         self,
-        robot: A1Config | None = None,
-        board: SkateboardConfig | None = None,
-        solver: SolverConfig | None = None,
+        robot: A1Config,
+        board: SkateboardConfig,
+        solver: SolverConfig,
     ):
-        self.solver = solver or SolverConfig()
+        self.solver = solver
         self.arena = MountArena()
         self.robot = A1(config=robot)
         self.board = Skateboard(config=board)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs.config.board import SkateboardConfig
-from skatemount.envs.config.starts import StartConfig, _zero
+from skatemount.envs.config.starts import StartConfig
 from skatemount.envs.geometry import quat_from_euler, quat_to_matrix, rotate
 from skatemount.envs.legs import Legs
 from skatemount.envs.physics.base import StartState
@@ -196,7 +196,7 @@ class StartSampler:
 
     def _board_speed(self, fixed: Tensor, generator: torch.Generator) -> Tensor:
         n, bounds = len(fixed), self.config.board_speed
-        if bounds == _zero():
+        if bounds == [0.0, 0.0]:
             # Nothing is drawn, so that a seed's starts are what they were without this setting.
             return torch.zeros(n, device=fixed.device)
         speed = uniform((n,), generator, bounds) * either_sign(n, generator)

@@ -50,6 +50,7 @@ class MountTask(composer.Task):
 
             config = compose_task(stage, overrides)
         config.validate()
+        config.validate_terms()
         self.config = config
         self.scene = Scene(config.robot, config.board, config.physics)
         self._generator = torch.Generator().manual_seed(0)

@@ -11,30 +11,21 @@ from typing import Any
 
 import torch
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf
 
 from skatemount import config as configuration
 from skatemount.agents.interface import check_interface
 from skatemount.agents.switching import SwitchingAgent
 from skatemount.agents.trained_policy import TrainedPolicy
-from skatemount.config import Config
+from skatemount.config import Config, PolicyConfig
+from skatemount.config.files import load_file
+from skatemount.config.keys import keys
 from skatemount.config.suite import SuiteConfig
+from skatemount.envs.config.task import TaskConfig
 from skatemount.evaluation.evaluator import EVALUATION_SEED, NUM_WORLDS, Evaluator, mix_seeds
 from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.results import Evaluation
 from skatemount.utils.errors import ConfigError
-
-NOT_OF_THE_TASK = (
-    "checkpoint",
-    "pipeline",
-    "switch_distance",
-    "suite",
-    "episodes",
-    "episode",
-    "json",
-    "output",
-    "seed",
-)
-"""Settings of the verbs themselves."""
 
 _MACHINE = ("engine", "device", "threads", "max_contacts", "max_constraints")
 """Settings of the physics that do not come from the training."""
@@ -61,7 +52,7 @@ class EvaluationTask:
     seed: int
 
     @classmethod
-    def prepare(cls, config: Config, overrides: Sequence[str]) -> list[EvaluationTask]:
+    def prepare(cls, config: PolicyConfig, overrides: Sequence[str]) -> list[EvaluationTask]:
         """Load the policy that the command line names, and work out its tasks.
 
         Args:
@@ -79,7 +70,7 @@ class EvaluationTask:
             agent = TrainedPolicy.load(config.checkpoint, config.logger.root)
         else:
             agent = SwitchingAgent.load_pair(config.pipeline, config.switch_distance, config.logger.root)
-        asked = [o for o in overrides if _key(o).split(".")[0] not in NOT_OF_THE_TASK]
+        asked = [o for o in overrides if _key(o).partition(".")[0] in keys(TaskConfig)]
         suites = [config.suite] if config.suite is None else members_of(config.suite)
         return [cls.of(agent, suite, asked, config.seed) for suite in suites]
 
@@ -220,9 +211,9 @@ def load_suite(name: str) -> SuiteConfig:
     Raises:
         ConfigError: There is none; the line says which there are.
     """
-    configuration.check_suite(name)
-    found = configuration.compose(None, [f"suite={name}"]).suite
-    assert found is not None
+    found = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(SuiteConfig), load_file("suite", name)))
+    assert isinstance(found, SuiteConfig)
+    found.validate()
     return found
 
 

@@ -37,24 +37,24 @@ class AlgorithmConfig:
             C++ compiler must be installed.
     """
 
-    epochs: int = 5
-    minibatches: int = 4
-    learning_rate: float = 1e-3
-    min_learning_rate: float = 1e-5
-    max_learning_rate: float = 1e-2
-    target_kl: float | None = 0.01
-    clip_epsilon: float = 0.2
-    clip_value: bool = True
-    critic_coeff: float = 1.0
-    entropy_coeff: float = 0.01
-    discount_horizon: float = 2.0
-    gae_horizon: float = 0.4
-    max_grad_norm: float = 1.0
-    final_std: float | None = None
-    std_frames: int = 10_000_000
-    final_target_kl: float | None = None
-    kl_anneal_fraction: float = 0.2
-    compile: bool = False
+    epochs: int
+    minibatches: int
+    learning_rate: float
+    min_learning_rate: float
+    max_learning_rate: float
+    target_kl: float | None
+    clip_epsilon: float
+    clip_value: bool
+    critic_coeff: float
+    entropy_coeff: float
+    discount_horizon: float
+    gae_horizon: float
+    max_grad_norm: float
+    final_std: float | None
+    std_frames: int
+    final_target_kl: float | None
+    kl_anneal_fraction: float
+    compile: bool
 
     def validate(self, where: str = "algorithm") -> None:
         """Raise `ConfigError` for values that cannot be used."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from skatemount.utils.errors import ConfigError
 
@@ -25,14 +25,14 @@ class NetworkConfig:
             the same value.
     """
 
-    actor: list[int] = field(default_factory=lambda: [256, 128, 64])
-    critic: list[int] = field(default_factory=lambda: [256, 128, 64])
-    activation: str = "elu"
-    init_std: float = 0.5
-    min_std: float = 0.05
-    max_std: float = 1.0
-    normalize: bool = True
-    symmetric: bool = False
+    actor: list[int]
+    critic: list[int]
+    activation: str
+    init_std: float
+    min_std: float
+    max_std: float
+    normalize: bool
+    symmetric: bool
 
     def validate(self, where: str = "network") -> None:
         """Raise `ConfigError` for sizes that cannot be built."""

@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 
-from skatemount.config import Config
+from skatemount.config import BenchProgramConfig
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.profiling.stopwatch import COLLECTING, LEARNING, profile_trainer
 from skatemount.profiling.workload import BenchWorkload
@@ -106,7 +106,7 @@ class Measured:
         }
 
 
-def measure(config: Config, overrides: list[str], report: Callable[[str], None]) -> Measured:
+def measure(config: BenchProgramConfig, overrides: list[str], report: Callable[[str], None]) -> Measured:
     """Measure all that the settings ask for.
 
     Args:
@@ -143,7 +143,7 @@ def in_fresh_process(work: Callable[..., Any], *arguments: Any) -> Any:
         return pool.submit(work, *arguments).result()
 
 
-def measure_point(config: Config, profile: bool = False) -> Point:
+def measure_point(config: BenchProgramConfig, profile: bool = False) -> Point:
     """Measure one training, in this process.
 
     Args:
@@ -155,7 +155,7 @@ def measure_point(config: Config, profile: bool = False) -> Point:
     with tempfile.TemporaryDirectory() as folder:
         config.logger.root = folder
         before = memory_taken(device)
-        workload = BenchWorkload(Trainer(config))
+        workload = BenchWorkload(Trainer(config.training))
         try:
             after = memory_taken(device)
             # All rounds count: a shared machine has fast moments, and the best of each would compare one with another.

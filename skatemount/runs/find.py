@@ -8,12 +8,8 @@ from pathlib import Path
 
 from skatemount.runs.checkpoint import is_checkpoint, list_checkpoints
 from skatemount.runs.folder import POINTERS, RunFolder, age_key, follow, is_run
+from skatemount.runs.shipped import PRETRAINED, shipped_file, shipped_policies
 from skatemount.utils.errors import ConfigError
-
-POLICIES = Path(__file__).resolve().parents[1] / "policies"
-
-
-PRETRAINED = "pretrained:"
 
 
 def find_checkpoint(spec: str, root: Path | str = Path("runs"), setting: str = "checkpoint") -> Path:
@@ -35,15 +31,15 @@ def find_checkpoint(spec: str, root: Path | str = Path("runs"), setting: str = "
     root = Path(root)
     spec = str(spec)
     if spec.startswith(PRETRAINED):
-        file = POLICIES / f"{spec.removeprefix(PRETRAINED)}.safetensors"
-        if file.parent == POLICIES and file.is_file():
+        if (file := shipped_file(spec.removeprefix(PRETRAINED))) is not None:
             return file
-        raise ConfigError(f"{setting}={spec!r}: no such policy; there is {_choices(_pretrained())}")
+        raise ConfigError(f"{setting}={spec!r}: no such policy; there is {_choices(shipped_policies())}")
     if spec in POINTERS:
         run = _newest_run(root)
         if run is None:
             raise ConfigError(
-                f"{setting}={spec!r}: no run in {str(root)!r} has a checkpoint yet; there is {_choices(_pretrained())}"
+                f"{setting}={spec!r}: no run in {str(root)!r} has a checkpoint yet; there is "
+                f"{_choices(shipped_policies())}"
             )
         return _of_run(run, spec, f"{setting}={spec!r}")
     for path in (Path(spec), root / spec):
@@ -61,7 +57,7 @@ def find_checkpoint(spec: str, root: Path | str = Path("runs"), setting: str = "
         if path.name in POINTERS and is_run(path.parent):
             return _of_run(path.parent, path.name, f"{setting}={spec!r}")
     names = [str(run) for run in itertools.islice(_runs_with_checkpoints(root), 3)]
-    raise ConfigError(f"{setting}={spec!r}: not found; there is {_choices([*names, *_pretrained()])}")
+    raise ConfigError(f"{setting}={spec!r}: not found; there is {_choices([*names, *shipped_policies()])}")
 
 
 def _of_run(run: Path, which: str, where: str) -> Path:
@@ -84,15 +80,6 @@ def _newest_run(root: Path) -> Path | None:
 def _runs_with_checkpoints(root: Path) -> Iterator[Path]:
     runs = sorted(filter(is_run, root.glob("*/*")), key=age_key, reverse=True)
     return (run for run in runs if RunFolder(run).latest is not None)
-
-
-def is_shipped(name: str) -> bool:
-    """Whether the package ships a policy of that name."""
-    return f"{PRETRAINED}{name}" in _pretrained()
-
-
-def _pretrained() -> list[str]:
-    return [f"{PRETRAINED}{file.stem}" for file in sorted(POLICIES.glob("*.safetensors"))]
 
 
 def _choices(names: list[str]) -> str:

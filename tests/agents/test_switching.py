@@ -11,7 +11,7 @@ from tensordict import TensorDict
 
 from skatemount.agents.switching import MARGIN, SwitchingAgent, SwitchingPolicy
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
-from skatemount.config import Config, compose
+from skatemount.config import Config, compose, compose_program
 from skatemount.envs import MountTask
 from skatemount.envs.mount_env import MountEnv
 from skatemount.evaluation.suite_task import EvaluationTask
@@ -83,7 +83,7 @@ def test_a_pipeline_is_tried_as_one_policy(folder: Path, first: str, second: str
     ]
 
     def trial(*more: str) -> EvaluationTask:
-        (made,) = EvaluationTask.prepare(compose(None, [*asked, *more]), [*asked, *more])
+        (made,) = EvaluationTask.prepare(compose_program("evaluate", [*asked, *more]), [*asked, *more])
         return made
 
     def energy(tried: EvaluationTask) -> list[float]:
@@ -127,4 +127,4 @@ def test_the_walking_policy_must_not_see_more(folder: Path) -> None:
 
 def test_handover_is_a_distance() -> None:
     with pytest.raises(ConfigError, match="switch_distance=-1.0 must be above 0"):
-        compose(None, ["switch_distance=-1"])
+        compose_program("evaluate", ["switch_distance=-1"])

@@ -8,7 +8,7 @@ from collections import Counter
 import pytest
 import torch
 
-from skatemount.config import Config, check_suite, compose, from_dict, suites, to_dict
+from skatemount.config import Config, EvaluateConfig, check_choice, compose, compose_program, suites, to_dict
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.suite_task import evaluation_config, load_suite, members_of
@@ -84,16 +84,17 @@ def test_other_boards_are_boards_that_training_does_not_vary_to(variant: str) ->
     MountTask(config=other)
 
 
-def test_a_suite_survives_being_saved_and_old_settings_have_none() -> None:
-    config = compose(None, ["suite=other-boards"])
-    assert from_dict(to_dict(config)) == config
-    assert from_dict(to_dict(config) | {"suite": None}).suite is None
-    assert compose().suite is None
+def test_a_program_composes_the_suite_that_is_read_from_its_file() -> None:
+    for name in suites():
+        composed = compose_program("evaluate", [f"suite={name}"])
+        assert isinstance(composed, EvaluateConfig) and composed.suite == load_suite(name)
 
 
 def test_an_unknown_suite_is_answered_with_those_there_are() -> None:
-    with pytest.raises(ConfigError, match=r"suite=walk is not a suite; there are: all, approach-fixed, .*, rolling$"):
-        check_suite("walk")
+    with pytest.raises(
+        ConfigError, match=r"suite=walk: there is no suite walk; there are: all, approach-fixed, .*, rolling$"
+    ):
+        check_choice("suite", "walk")
 
 
 @pytest.mark.parametrize(
@@ -116,5 +117,5 @@ def test_a_suite_that_cannot_be_is_one_line(settings: dict, said: str) -> None:
 def test_a_suite_of_suites_of_suites_is_refused() -> None:
     with pytest.raises(ConfigError, match="all is made of other suites itself"):
         members_of(SuiteConfig(name="more", members=["far", "all"]))
-    with pytest.raises(ConfigError, match="suite=near is not a suite"):
+    with pytest.raises(ConfigError, match="there is no suite near"):
         members_of(SuiteConfig(name="more", members=["near"]))

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import defaults
 import pytest
 import torch
 
 from skatemount.config import compose
 from skatemount.curriculum.auto import AutoCurriculum
-from skatemount.curriculum.config import CurriculumConfig
 from skatemount.envs.mdp import StepResult
 from skatemount.envs.state import EpisodeState
 from skatemount.utils.errors import ConfigError
@@ -19,7 +19,7 @@ HEIGHT = 0.088
 
 
 def curriculum(**settings: object) -> AutoCurriculum:
-    return AutoCurriculum(CurriculumConfig(kind="auto", **settings), HEIGHT)  # type: ignore[arg-type]
+    return AutoCurriculum(defaults.curriculum(kind="auto", **settings), HEIGHT)  # type: ignore[arg-type]
 
 
 def finish(auto: AutoCurriculum, bins: torch.Tensor, good: bool) -> None:

@@ -6,12 +6,12 @@ import math
 import sys
 from pathlib import Path
 
+import defaults
 import pytest
 
 from skatemount.config import compose
 from skatemount.curriculum.auto import AutoCurriculum
 from skatemount.curriculum.base import make_curriculum
-from skatemount.curriculum.config import CurriculumConfig
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
@@ -54,8 +54,8 @@ class OneSpot:
 
 
 def test_kinds_have_their_classes() -> None:
-    assert make_curriculum(CurriculumConfig(), 0.1) is None
-    assert isinstance(make_curriculum(CurriculumConfig(kind="auto"), 0.1), AutoCurriculum)
+    assert make_curriculum(defaults.curriculum(), 0.1) is None
+    assert isinstance(make_curriculum(defaults.curriculum(kind="auto"), 0.1), AutoCurriculum)
 
 
 def test_a_curriculum_of_ones_own_is_trained_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,7 +87,7 @@ def test_a_curriculum_of_ones_own_is_trained_with(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.parametrize("kind", ["no_such_module:Thing", "math:Thing", "math:pi"])
 def test_what_cannot_be_made_is_one_line(kind: str) -> None:
-    config = CurriculumConfig(kind=kind)
+    config = defaults.curriculum(kind=kind)
     config.validate()
     with pytest.raises(ConfigError) as error:
         make_curriculum(config, 0.1)
@@ -96,4 +96,4 @@ def test_what_cannot_be_made_is_one_line(kind: str) -> None:
 
 def test_unknown_kinds_are_listed() -> None:
     with pytest.raises(ConfigError, match="none, stages, auto, or module:Class"):
-        CurriculumConfig(kind="automatic").validate()
+        defaults.curriculum(kind="automatic").validate()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import defaults
 import numpy as np
 import torch
 from matplotlib.image import imread
 
 from skatemount.curriculum.auto import AutoCurriculum
-from skatemount.curriculum.config import CurriculumConfig
 
 
 def coloured(path: Path) -> float:
@@ -20,7 +20,7 @@ def coloured(path: Path) -> float:
 
 
 def test_closed_bins_are_blank_and_open_ones_coloured(tmp_path: Path) -> None:
-    auto = AutoCurriculum(CurriculumConfig(kind="auto"), 0.088)
+    auto = AutoCurriculum(defaults.curriculum(kind="auto"), 0.088)
     shares = []
     for opened in (False, True):
         auto.opened[:] = opened
@@ -31,7 +31,7 @@ def test_closed_bins_are_blank_and_open_ones_coloured(tmp_path: Path) -> None:
 
 
 def test_solved_bins_are_framed(tmp_path: Path) -> None:
-    auto = AutoCurriculum(CurriculumConfig(kind="auto"), 0.088)
+    auto = AutoCurriculum(defaults.curriculum(kind="auto"), 0.088)
     pictures = []
     for least in (auto.config.window, 1.0):
         auto.config.min_episodes = least
@@ -44,7 +44,7 @@ def test_solved_bins_are_framed(tmp_path: Path) -> None:
 
 
 def test_success_per_distance_is_logged_where_it_is_known() -> None:
-    auto = AutoCurriculum(CurriculumConfig(kind="auto", distances=[0.1, 0.5, 1.0]), 0.088)
+    auto = AutoCurriculum(defaults.curriculum(kind="auto", distances=[0.1, 0.5, 1.0]), 0.088)
     trials, successes = auto.episodes.view(auto.shape), auto.successes.view(auto.shape)
     trials[0, ..., -1, :], successes[0, ..., -1, :] = 38.0, 29.0
     trials[1, ..., 0, :] = 38.0  # not at full height
@@ -56,7 +56,9 @@ def test_success_per_distance_is_logged_where_it_is_known() -> None:
 def test_bins_from_which_no_start_is_drawn_any_more_look_different(tmp_path: Path) -> None:
     pictures = []
     for beyond in (None, 0.5):
-        auto = AutoCurriculum(CurriculumConfig(kind="auto", stage_range_fraction=0.5, stage_range_from=beyond), 0.088)
+        auto = AutoCurriculum(
+            defaults.curriculum(kind="auto", stage_range_fraction=0.5, stage_range_from=beyond), 0.088
+        )
         auto.opened[:] = True
         auto.draw(tmp_path / "x.png", "")
         pictures.append(imread(tmp_path / "x.png"))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import defaults
 import pytest
 import torch
 
 from skatemount.envs.commands import CommandGenerator, toward_board
-from skatemount.envs.config.commands import CommandConfig
 from skatemount.envs.geometry import board_direction
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.utils.errors import ConfigError
@@ -20,7 +20,7 @@ STEP = 0.04
 
 
 def commander(generator: torch.Generator | None = None, **settings: object) -> CommandGenerator:
-    return CommandGenerator(CommandConfig(**settings), STEP, generator or torch.Generator().manual_seed(0))
+    return CommandGenerator(defaults.command(**settings), STEP, generator or torch.Generator().manual_seed(0))
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ def test_same_seed_same_commands() -> None:
 )
 def test_bad_settings_are_one_clear_line(settings: dict, expected: list[str]) -> None:
     with pytest.raises(ConfigError) as error:
-        CommandConfig(**settings).validate()
+        defaults.command(**settings).validate()
     message = str(error.value)
     assert "\n" not in message
     for text in expected:

@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import functools
 
+import defaults
 import pytest
 import torch
 from dm_control import mjcf
 from torch import Tensor
 
-from skatemount.envs.config.robot import A1Config
 from skatemount.envs.entities.a1 import A1
 from skatemount.envs.legs import Legs
 
@@ -16,7 +16,7 @@ VARIANTS = ("unitree", "isaac")
 
 @functools.cache
 def robot(variant: str) -> A1:
-    return A1(config=A1Config(variant=variant))
+    return A1(config=defaults.robot(variant=variant))
 
 
 def legs(variant: str = "unitree") -> Legs:

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import defaults
 import pytest
 import torch
 from mujoco_warp import OverflowType
@@ -13,9 +14,8 @@ from tiny import TINY
 from torch import Tensor
 
 from skatemount.agents.trained_policy import TrainedPolicy
-from skatemount.config import compose
+from skatemount.config import compose, compose_program
 from skatemount.envs import MountEnv, MountTask
-from skatemount.envs.config.physics import PhysicsConfig
 from skatemount.envs.physics.base import Physics, StartState
 from skatemount.envs.physics.factory import make_physics
 from skatemount.envs.randomization import Randomizer
@@ -42,7 +42,7 @@ TOLERANCES = {
 
 
 def engine(name: str, task: MountTask, worlds: int = WORLDS, device: str = "cpu") -> Physics:
-    return make_physics(task.scene, PhysicsConfig(engine=name, num_worlds=worlds, threads=1, device=device))
+    return make_physics(task.scene, defaults.physics(engine=name, num_worlds=worlds, threads=1, device=device))
 
 
 @pytest.fixture
@@ -236,7 +236,7 @@ def test_a_world_that_fails_is_flagged_until_its_reset(task: MountTask, warp: Ph
 
 @pytest.mark.parametrize(("setting", "room"), [("max_contacts", 2), ("max_constraints", 20)])
 def test_lost_contacts_are_an_error_that_names_the_setting(task: MountTask, setting: str, room: int) -> None:
-    config = PhysicsConfig(engine="warp", num_worlds=4, device="cpu")
+    config = defaults.physics(engine="warp", num_worlds=4, device="cpu")
     setattr(config, setting, room)
     physics = make_physics(task.scene, config)
     start = starts(task, 4)
@@ -257,7 +257,7 @@ def test_where_contacts_are_lost_the_number_of_constraints_is_not_blamed(warp: P
 
 def test_contacts_lost_in_a_reset_of_few_are_an_error_too(task: MountTask, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("skatemount.envs.physics.warp._SPARE_WORLDS", 0)
-    physics = make_physics(task.scene, PhysicsConfig(engine="warp", num_worlds=8, device="cpu", max_contacts=2))
+    physics = make_physics(task.scene, defaults.physics(engine="warp", num_worlds=8, device="cpu", max_contacts=2))
     start = starts(task, 8)
     physics.reset(only(1, n=8), start[1:2])
     assert physics.overflowed() == "mujoco_warp dropped contacts in a reset: raise physics.max_contacts, which is 2"
@@ -269,9 +269,9 @@ def test_a_device_that_is_not_there_is_refused(task: MountTask) -> None:
     must_be = "must be auto, cpu, cuda or cuda:<number>"
     for device, wrong in (("cuda:7", "cannot be used"), ("gpu", must_be), ("meta", must_be)):
         with pytest.raises(ConfigError, match=f"physics.device={device} {wrong}"):
-            make_physics(task.scene, PhysicsConfig(engine="warp", num_worlds=1, device=device))
+            make_physics(task.scene, defaults.physics(engine="warp", num_worlds=1, device=device))
     with pytest.raises(ConfigError, match=r"physics.device=cuda goes with physics.engine=warp.*is cpu"):
-        make_physics(task.scene, PhysicsConfig(engine="cpu", num_worlds=1, device="cuda"))
+        make_physics(task.scene, defaults.physics(engine="cpu", num_worlds=1, device="cuda"))
 
 
 def test_without_the_packages_it_says_what_to_install(task: MountTask, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -304,5 +304,7 @@ def test_a_training_on_it_and_its_bench(tmp_path: Path, device: str) -> None:
     trainer.train()
     assert trainer.frames == 64
     trainer.close()
-    point = measure_point(compose("unfixed", [*asked, "bench=quick", "bench.seconds=0.01", "bench.rounds=1"]))
+    point = measure_point(
+        compose_program("bench", ["stage=unfixed", *asked, "bench=quick", "bench.seconds=0.01", "bench.rounds=1"])
+    )
     assert all(rate > 0 for rate in point.rates.values())

@@ -3,13 +3,13 @@ from __future__ import annotations
 import functools
 import math
 
+import defaults
 import mujoco
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from skatemount.envs.config.randomization import RandomizationConfig
 from skatemount.envs.entities.a1 import KD_INDEX, KP_INDEX
 from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.scene import Scene, SceneIndex
@@ -20,7 +20,7 @@ WORLDS = 400
 
 @functools.cache
 def compiled() -> tuple[mujoco.MjModel, SceneIndex]:
-    scene = Scene()
+    scene = Scene(defaults.robot(), defaults.board(), defaults.physics())
     model = scene.compile(visuals=False)
     return model, SceneIndex.of(scene, model)
 
@@ -55,7 +55,7 @@ class Fields:
 def build(seed: int = 0, fields: Fields | None = None, **ranges: list[float]) -> tuple[Fields, Randomizer]:
     fields = fields or Fields()
     generator = torch.Generator().manual_seed(seed)
-    randomizer = Randomizer(RandomizationConfig(**ranges), fields.index, fields.model, generator)
+    randomizer = Randomizer(defaults.randomization(**ranges), fields.index, fields.model, generator)
     randomizer.build_worlds(fields)
     return fields, randomizer
 
@@ -226,12 +226,12 @@ def test_drawing_again_starts_from_the_nominal_values() -> None:
 )
 def test_a_range_that_cannot_be_drawn_is_named(setting: str, value: list[float]) -> None:
     with pytest.raises(ConfigError, match=rf"randomization\.{setting}=.*must be") as error:
-        RandomizationConfig(**{setting: value}).validate()
+        defaults.randomization(**{setting: value}).validate()
     assert "\n" not in str(error.value)
 
 
 def pushes(seed: int = 0, worlds: int = 50, **ranges: list[float]) -> Pushes:
-    return Pushes(RandomizationConfig(**ranges), worlds, 0.04, torch.Generator().manual_seed(seed))
+    return Pushes(defaults.randomization(**ranges), worlds, 0.04, torch.Generator().manual_seed(seed))
 
 
 def test_there_are_no_pushes_unless_asked_for() -> None:

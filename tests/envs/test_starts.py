@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+import defaults
 import mujoco
 import pytest
 import torch
@@ -10,7 +11,6 @@ from torch import Tensor
 
 from skatemount.config import compose, stages
 from skatemount.envs import MountTask
-from skatemount.envs.config.starts import StartConfig
 from skatemount.envs.physics import CpuPhysics
 from skatemount.envs.physics.base import StartState
 from skatemount.envs.starts import StartPoses, StartQueue
@@ -201,7 +201,7 @@ def test_the_same_generator_gives_the_same_starts() -> None:
 )
 def test_a_range_that_cannot_be_drawn_is_named(setting: str, value: object) -> None:
     with pytest.raises(ConfigError, match=rf"start\.{setting}=.*must be") as error:
-        StartConfig(**{setting: value}).validate()
+        defaults.start(**{setting: value}).validate()
     assert "\n" not in str(error.value)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import defaults
 import mujoco
 import pytest
 import torch
@@ -14,7 +15,6 @@ from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import Evaluator, mix_seeds
 from skatemount.evaluation.results import Evaluation
 from skatemount.models.actor_critic import ActorCritic
-from skatemount.models.config import NetworkConfig
 from skatemount.utils.errors import ConfigError
 
 SHORT = ["episode_length=2", "physics.threads=1"]
@@ -26,7 +26,7 @@ def make_networks(config: Config) -> ActorCritic:
     mdp = MountTask(config=config).make_mdp(torch.Generator())
     torch.manual_seed(0)
     sizes = mdp.observation.size, mdp.privileged.size
-    return ActorCritic(NetworkConfig(actor=[8], critic=[8]), *sizes)
+    return ActorCritic(defaults.network(actor=[8], critic=[8]), *sizes)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
-from skatemount.config import Config, compose, to_dict
+from skatemount.config import Config, compose, compose_program, to_dict
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import NUM_WORLDS
@@ -129,7 +129,7 @@ def path(policy: Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def prepare(path: Path, *overrides: str) -> list[EvaluationTask]:
     asked = [f"checkpoint={path}", *overrides]
-    return EvaluationTask.prepare(compose(None, asked), asked)
+    return EvaluationTask.prepare(compose_program("evaluate", asked), asked)
 
 
 def test_a_trial_knows_what_is_tried(path: Path) -> None:

@@ -13,7 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from skatemount import config as configuration
 from skatemount.agents.trained_policy import TrainedPolicy
-from skatemount.config.versions import upgrade
+from skatemount.config.versions import FORMAT, upgrade
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.physics.base import StartState
 from skatemount.evaluation.suite_task import EvaluationTask, evaluation_config, load_suite
@@ -134,7 +134,7 @@ def update(line: str, given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def translate(values: dict[str, Any]) -> dict[str, Any]:
     """Return settings that an older version composed, under today's names."""
-    return upgrade(values, 1)
+    return {"format": FORMAT, **upgrade(values)}
 
 
 def _as_tuple(key: str | tuple[str, ...]) -> tuple[str, ...]:

@@ -6,15 +6,14 @@ import copy
 import math
 from typing import Any
 
+import defaults
 import pytest
 import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from skatemount.losses.config import AlgorithmConfig
 from skatemount.losses.ppo import PPO
 from skatemount.models.actor_critic import ActorCritic
-from skatemount.models.config import NetworkConfig
 from skatemount.utils.errors import ConfigError
 
 STEP = 0.04
@@ -23,7 +22,7 @@ OBSERVATION, PRIVILEGED, ACTIONS = 6, 3, 4
 
 def make_networks(seed: int = 0, **settings: Any) -> ActorCritic:
     torch.manual_seed(seed)
-    config = NetworkConfig(actor=[32], critic=[32], **settings)
+    config = defaults.network(actor=[32], critic=[32], **settings)
     return ActorCritic(config, OBSERVATION, PRIVILEGED, ACTIONS)
 
 
@@ -31,7 +30,7 @@ def make(
     networks: ActorCritic | None = None, bf16: bool = False, order: torch.Generator | None = None, **settings: Any
 ) -> PPO:
     order = order or torch.Generator().manual_seed(7)
-    config = AlgorithmConfig(**settings)
+    config = defaults.algorithm(**settings)
     return PPO(config, networks or make_networks(), STEP, bf16=bf16, generator=order)
 
 
@@ -228,7 +227,7 @@ def test_steps_become_small_at_the_end() -> None:
 )
 def test_an_end_that_cannot_be_settled_is_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        AlgorithmConfig(**settings).validate()
+        defaults.algorithm(**settings).validate()
 
 
 def test_learning_rate_stays_without_a_target() -> None:
@@ -287,7 +286,7 @@ def test_goes_on_from_a_saved_state_bit_for_bit() -> None:
     ppo.update(collect(ppo.networks))
     other = make(copy.deepcopy(ppo.networks), order=order.clone_state(), target_kl=1e3)
     other.load_state_dict(copy.deepcopy(ppo.state_dict()))
-    assert other.learning_rate == ppo.learning_rate != AlgorithmConfig().learning_rate
+    assert other.learning_rate == ppo.learning_rate != defaults.algorithm().learning_rate
     batch = collect(ppo.networks, seed=1)
     assert ppo.update(batch.clone()) == other.update(batch.clone())
     assert same(weights(ppo.networks), weights(other.networks))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import defaults
 import pytest
 import torch
 from tensordict import TensorDict
@@ -17,7 +18,7 @@ from skatemount.models.normalization import RunningNormalizer
 from skatemount.models.symmetry import Mirror
 from skatemount.utils.errors import ConfigError
 
-SMALL = NetworkConfig(actor=[16, 8], critic=[12])
+SMALL = defaults.network(actor=[16, 8], critic=[12])
 
 
 def make(config: NetworkConfig = SMALL, seed: int = 0) -> ActorCritic:
@@ -81,7 +82,7 @@ def test_log_probability_is_that_of_the_normal_distribution() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_first_actions_are_near_the_default_pose(seed: int) -> None:
     """A hundredth of the action scale, whatever is seen."""
-    networks = make(NetworkConfig(), seed)
+    networks = make(defaults.network(), seed)
     networks.observe(seen(50, 10, scale=30.0))
     loc, _ = gaussian(networks, seen(200, scale=30.0))
     assert float(loc.abs().max()) < 0.05
@@ -89,7 +90,7 @@ def test_first_actions_are_near_the_default_pose(seed: int) -> None:
 
 @pytest.mark.parametrize(("low", "start", "high"), [(0.05, 0.5, 1.0), (0.2, 0.2, 0.2), (1e-3, 1.0, 10.0)])
 def test_deviation_starts_where_asked(low: float, start: float, high: float) -> None:
-    scale = BoundedNormalScale(12, NetworkConfig(min_std=low, init_std=start, max_std=high))
+    scale = BoundedNormalScale(12, defaults.network(min_std=low, init_std=start, max_std=high))
     _, std = scale(torch.zeros(7, 12))
     torch.testing.assert_close(std, torch.full((7, 12), start), rtol=1e-3, atol=0)
 

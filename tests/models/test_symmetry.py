@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import copy
 
+import defaults
 import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
 from torch.autograd import grad
 
-from skatemount.losses.config import AlgorithmConfig
 from skatemount.losses.ppo import PPO
 from skatemount.models.actor_critic import ActorCritic
-from skatemount.models.config import NetworkConfig
 from skatemount.models.symmetry import EquivariantLinear, EquivariantMLP, Mirror
 
 SEEN = Mirror(torch.tensor([0, 2, 1, 3, 5, 4]), torch.tensor([1.0, -1, -1, 1, 1, 1]))
@@ -23,7 +22,7 @@ ACTS = Mirror(torch.tensor([1, 0, 3, 2]), torch.tensor([-1.0, -1, 1, 1]))
 
 def make(symmetric: bool = True, seed: int = 0) -> ActorCritic:
     torch.manual_seed(seed)
-    config = NetworkConfig(actor=[32, 16], critic=[32], symmetric=symmetric)
+    config = defaults.network(actor=[32, 16], critic=[32], symmetric=symmetric)
     return ActorCritic(config, 6, 3, 4, (SEEN, HIDDEN, ACTS))
 
 
@@ -56,7 +55,7 @@ def asymmetry(networks: ActorCritic) -> tuple[float, float, float]:
 
 
 def trained(networks: ActorCritic) -> ActorCritic:
-    settings = AlgorithmConfig(learning_rate=5e-3, target_kl=None, epochs=2)
+    settings = defaults.algorithm(learning_rate=5e-3, target_kl=None, epochs=2)
     ppo = PPO(settings, networks, 0.04, generator=torch.Generator().manual_seed(7))
     for i in range(8):
         ppo.update(experience(networks, i))

@@ -10,8 +10,7 @@ from PIL import Image
 from tiny import TINY
 
 from skatemount.bench import bench
-from skatemount.cli import _check_program
-from skatemount.config import compose
+from skatemount.config import BenchProgramConfig, compose, compose_program
 from skatemount.profiling import report
 from skatemount.profiling.measure import FIGURES, Measured, Point, measure_point
 from skatemount.profiling.workload import BenchWorkload
@@ -79,7 +78,7 @@ def test_raw_physics_leaves_the_training_where_it_was(tmp_path: Path) -> None:
 
 
 def test_a_point_has_every_figure_and_a_whole_profile() -> None:
-    measured = measure_point(compose("balance", QUICK), profile=True)
+    measured = measure_point(compose_program("bench", ["stage=balance", *QUICK]), profile=True)
     assert tuple(measured.rates) == FIGURES and min(measured.rates.values()) > 0
     assert sum(measured.profile.values()) == pytest.approx(1.0)
     assert measured.profile["physics"] > 0.01 and measured.profile["update"] > 0.01
@@ -88,7 +87,7 @@ def test_a_point_has_every_figure_and_a_whole_profile() -> None:
 @pytest.mark.slow
 def test_the_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = [*QUICK, "bench.worlds=[4,8]", "bench.threads=[1]", "bench.start=true", f"json={tmp_path}/new/a.json"]
-    bench(compose("balance", [*given, f"output={tmp_path}"]), ["+stage=balance", *given])
+    bench(compose_program("bench", ["stage=balance", *given, f"output={tmp_path}"]), ["stage=balance", *given])
     document = json.loads((tmp_path / "new" / "a.json").read_text())
     assert {*FIGURES, *(f"{name}_of_raw" for name in FIGURES[1:])} <= document.keys()
     assert [each["worlds"] for each in document["by_worlds"]] == [4, 8]
@@ -108,14 +107,12 @@ def test_the_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 )
 def test_settings_out_of_range(override: str, expected: str) -> None:
     with pytest.raises(ConfigError, match=expected):
-        compose("balance", [override])
+        compose_program("bench", ["stage=balance", override])
 
 
 def test_settings_of_other_programs_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"bench.rounds=1: a setting of skatemount\.bench only"):
-        _check_program("train", ["bench.rounds=1"])
-    with pytest.raises(ConfigError, match="checkpoint=latest: a setting of"):
-        _check_program("bench", ["checkpoint=latest"])
-    with pytest.raises(ConfigError, match=r"torch_threads=1: a setting of skatemount\.train only"):
-        _check_program("evaluate", ["torch_threads=1"])
-    _check_program("bench", ["bench=quick", "init_from=null", "json=a.json", "output=b"])
+    with pytest.raises(ConfigError, match=r"checkpoint=latest: not a setting of bench, but of evaluate and record"):
+        compose_program("bench", ["stage=balance", "checkpoint=latest"])
+    config = compose_program("bench", ["stage=balance", "bench=quick", "init_from=null", "json=a.json", "output=b"])
+    assert isinstance(config, BenchProgramConfig) and (config.json, config.bench.rounds) == ("a.json", 1)
+    assert config.training == compose("balance", ["init_from=null"])

@@ -8,7 +8,7 @@ import pytest
 import torch
 import yaml
 
-import skatemount.runs
+import skatemount.runs.shipped
 from skatemount.runs.checkpoint import POLICY_FILE, PolicyCard, save_policy
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
@@ -155,7 +155,7 @@ def test_find_errors_are_one_line_that_says_what_there_is(runs_root: Path, monke
     policies = runs_root.parent / "policies"
     policies.mkdir()
     (policies / "balance.safetensors").touch()
-    monkeypatch.setattr(skatemount.runs.find, "POLICIES", policies)
+    monkeypatch.setattr(skatemount.runs.shipped, "POLICIES", policies)
     assert find_checkpoint("pretrained:balance") == policies / "balance.safetensors"
 
     def message(spec: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 
 from skatemount.utils.errors import ConfigError
 
@@ -31,32 +31,32 @@ class SkateboardConfig:
     ``conf/board/default.yaml`` says what each one means and gives its unit.
     """
 
-    deck_length: float = 0.575
-    deck_width: float = 0.250
-    deck_thickness: float = 0.012
-    deck_height: float = 0.088
-    mass: float = 2.1
-    truck_mass: float = 0.055
-    wheel_mass: float = 0.049
-    wheelbase: float = 0.497
-    track: float = 0.158
-    wheel_radius: float = 0.025
-    wheel_width: float = 0.032
-    truck_angle: float = 45.0
-    truck_stiffness: float = 20.0
-    truck_damping: float = 1.0
-    truck_limit: float = 7.0
-    truck_armature: float = 0.005
-    wheel_stiffness: float = 0.0
-    wheel_damping: float = 1.0e-5
-    wheel_friction: float = 0.0015
-    wheel_armature: float = 1.0e-6
-    wheel_grip: float = 0.9
-    deck_friction: float = 1.0
-    kick_length: float = 0.07
-    kick_angle: float = 18.0
-    deck_color: list[float] = field(default_factory=lambda: [0.80, 0.58, 0.36])
-    wheel_color: list[float] = field(default_factory=lambda: [0.95, 0.33, 0.28])
+    deck_length: float
+    deck_width: float
+    deck_thickness: float
+    deck_height: float
+    mass: float
+    truck_mass: float
+    wheel_mass: float
+    wheelbase: float
+    track: float
+    wheel_radius: float
+    wheel_width: float
+    truck_angle: float
+    truck_stiffness: float
+    truck_damping: float
+    truck_limit: float
+    truck_armature: float
+    wheel_stiffness: float
+    wheel_damping: float
+    wheel_friction: float
+    wheel_armature: float
+    wheel_grip: float
+    deck_friction: float
+    kick_length: float
+    kick_angle: float
+    deck_color: list[float]
+    wheel_color: list[float]
 
     @property
     def deck_mass(self) -> float:

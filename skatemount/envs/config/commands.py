@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from skatemount.utils.errors import ConfigError, check_range
 
@@ -28,14 +28,14 @@ class CommandConfig:
         deadband: A sampled velocity in the plane smaller than this is set to zero, m/s.
     """
 
-    mode: str = "board"
-    turn_to: str = "nearer"
-    forward: list[float] = field(default_factory=lambda: [-0.5, 1.0])
-    left: list[float] = field(default_factory=lambda: [-0.5, 0.5])
-    turn: list[float] = field(default_factory=lambda: [-1.0, 1.0])
-    resample: float = 10.0
-    standing: float = 0.02
-    deadband: float = 0.2
+    mode: str
+    turn_to: str
+    forward: list[float]
+    left: list[float]
+    turn: list[float]
+    resample: float
+    standing: float
+    deadband: float
 
     def validate(self, where: str = "command") -> None:
         """Raise `ConfigError` for settings that cannot be used."""

@@ -24,14 +24,14 @@ class SolverConfig:
         impratio: Ratio of frictional to normal constraint impedance.
     """
 
-    timestep: float = 0.005
-    substeps: int = 4
-    solver: str = "Newton"
-    iterations: int = 20
-    ls_iterations: int = 10
-    tolerance: float = 1e-8
-    cone: str = "pyramidal"
-    impratio: float = 1.0
+    timestep: float
+    substeps: int
+    solver: str
+    iterations: int
+    ls_iterations: int
+    tolerance: float
+    cone: str
+    impratio: float
 
     @property
     def control_step(self) -> float:
@@ -68,12 +68,12 @@ class PhysicsConfig(SolverConfig):
         max_constraints: Constraint rows of a world that ``warp`` has memory for.
     """
 
-    engine: str = "cpu"
-    num_worlds: int = 1024
-    threads: int = 0
-    device: str = "auto"
-    max_contacts: int = 48
-    max_constraints: int = 160
+    engine: str
+    num_worlds: int
+    threads: int
+    device: str
+    max_contacts: int
+    max_constraints: int
 
     def validate(self, where: str = "physics") -> None:
         """Raise `ConfigError` for values that cannot be simulated."""

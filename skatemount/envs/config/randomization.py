@@ -2,17 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from skatemount.utils.errors import ConfigError, check_range
-
-
-def _one() -> list[float]:
-    return [1.0, 1.0]
-
-
-def _zero() -> list[float]:
-    return [0.0, 0.0]
 
 
 @dataclass
@@ -35,16 +27,16 @@ class RandomizationConfig:
         push_velocity: Each horizontal axis of what a push adds to the trunk's velocity, m/s.
     """
 
-    friction: list[float] = field(default_factory=_one)
-    trunk_mass: list[float] = field(default_factory=_zero)
-    trunk_com: list[float] = field(default_factory=_zero)
-    inertia: list[float] = field(default_factory=_one)
-    board_mass: list[float] = field(default_factory=_one)
-    truck_stiffness: list[float] = field(default_factory=_one)
-    kp: list[float] = field(default_factory=_one)
-    kd: list[float] = field(default_factory=_one)
-    push_interval: list[float] | None = None
-    push_velocity: list[float] = field(default_factory=_zero)
+    friction: list[float]
+    trunk_mass: list[float]
+    trunk_com: list[float]
+    inertia: list[float]
+    board_mass: list[float]
+    truck_stiffness: list[float]
+    kp: list[float]
+    kd: list[float]
+    push_interval: list[float] | None
+    push_velocity: list[float]
 
     def validate(self, where: str = "randomization") -> None:
         """Raise `ConfigError` for ranges that cannot be drawn from."""

@@ -35,22 +35,22 @@ class A1Config:
             contact's two geoms.
     """
 
-    variant: str = "unitree"
-    kp: float = 35.0
-    kd: float = 0.7
-    torque_limit: float = 33.5
-    speed_limit: float = 21.0
-    hip_inward: float = 0.15
-    thigh: float = 0.8
-    calf: float = -1.5
-    action_scale_hip: float = 0.2
-    action_scale_thigh: float = 0.35
-    action_scale_calf: float = 0.35
-    action_clip: float = 6.0
-    joint_friction: float = 0.0
-    joint_damping: float = 0.0
-    armature: float = 0.01
-    foot_friction: float = 0.8
+    variant: str
+    kp: float
+    kd: float
+    torque_limit: float
+    speed_limit: float
+    hip_inward: float
+    thigh: float
+    calf: float
+    action_scale_hip: float
+    action_scale_thigh: float
+    action_scale_calf: float
+    action_clip: float
+    joint_friction: float
+    joint_damping: float
+    armature: float
+    foot_friction: float
 
     def validate(self, where: str = "robot") -> None:
         """Checks every setting.

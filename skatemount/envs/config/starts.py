@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from skatemount.utils.errors import ConfigError, check_range
 
 _MAX_TILT = 0.5
-
-
-def _zero() -> list[float]:
-    return [0.0, 0.0]
 
 
 @dataclass
@@ -41,24 +37,24 @@ class StartConfig:
         torque: Each axis of a constant torque on the trunk, N m.
     """
 
-    x: list[float] = field(default_factory=_zero)
-    y: list[float] = field(default_factory=_zero)
-    both_sides: bool = False
-    distance: list[float] | None = None
-    yaw: list[float] = field(default_factory=_zero)
-    roll: list[float] = field(default_factory=_zero)
-    pitch: list[float] = field(default_factory=_zero)
-    height: list[float] = field(default_factory=_zero)
-    lin_vel: list[float] = field(default_factory=_zero)
-    ang_vel: list[float] = field(default_factory=_zero)
-    joint_pos: list[float] = field(default_factory=_zero)
-    joint_vel: list[float] = field(default_factory=_zero)
-    step_height: list[float] | None = None
-    board_fixed: float = 1.0
-    board_speed: list[float] = field(default_factory=_zero)
-    edge_margin: float = 0.02
-    force: list[float] = field(default_factory=_zero)
-    torque: list[float] = field(default_factory=_zero)
+    x: list[float]
+    y: list[float]
+    both_sides: bool
+    distance: list[float] | None
+    yaw: list[float]
+    roll: list[float]
+    pitch: list[float]
+    height: list[float]
+    lin_vel: list[float]
+    ang_vel: list[float]
+    joint_pos: list[float]
+    joint_vel: list[float]
+    step_height: list[float] | None
+    board_fixed: float
+    board_speed: list[float]
+    edge_margin: float
+    force: list[float]
+    torque: list[float]
 
     def validate(self, where: str = "start") -> None:
         """Raise `ConfigError` for ranges that cannot be drawn from."""

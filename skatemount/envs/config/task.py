@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 from omegaconf import OmegaConf
@@ -60,10 +60,10 @@ class ObservationConfig:
             the control steps before it.
     """
 
-    policy: dict[str, Any] = field(default_factory=dict)
-    privileged: dict[str, Any] = field(default_factory=dict)
-    noise: bool = True
-    history_length: int = 1
+    policy: dict[str, Any]
+    privileged: dict[str, Any]
+    noise: bool
+    history_length: int
 
     def __post_init__(self) -> None:
         self.policy = _terms(ObservationTerm, self.policy, "observation.policy")
@@ -89,17 +89,17 @@ class TaskConfig:
         randomization: Randomised physics and pushes.
     """
 
-    episode_length: float = 5.0
-    success: str = "mount"
-    robot: A1Config = field(default_factory=A1Config)
-    board: SkateboardConfig = field(default_factory=SkateboardConfig)
-    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
-    observation: ObservationConfig = field(default_factory=ObservationConfig)
-    reward: dict[str, Any] = field(default_factory=dict)
-    termination: dict[str, Any] = field(default_factory=dict)
-    start: StartConfig = field(default_factory=StartConfig)
-    command: CommandConfig = field(default_factory=CommandConfig)
-    randomization: RandomizationConfig = field(default_factory=RandomizationConfig)
+    episode_length: float
+    success: str
+    robot: A1Config
+    board: SkateboardConfig
+    physics: PhysicsConfig
+    observation: ObservationConfig
+    reward: dict[str, Any]
+    termination: dict[str, Any]
+    start: StartConfig
+    command: CommandConfig
+    randomization: RandomizationConfig
 
     def __post_init__(self) -> None:
         self.reward = _terms(RewardTerm, self.reward, "reward")
@@ -119,9 +119,9 @@ class TaskConfig:
                 )
         for part in ("robot", "board", "physics", "start", "command", "randomization"):
             getattr(self, part).validate(part)
-        self._validate_terms()
 
-    def _validate_terms(self) -> None:
+    def validate_terms(self) -> None:
+        """Raise `ConfigError` for an unknown term or parameter in one of the tables."""
         # Only here: the terms are functions of tensors, and torch takes seconds to import.
         from skatemount.envs.observations import OBSERVATIONS
         from skatemount.envs.rewards import REWARDS

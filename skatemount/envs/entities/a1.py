@@ -40,8 +40,8 @@ class A1(composer.Entity):
     `actuator_gainprm[i, KD_INDEX]`, in the units of `A1Config`; `scale_gains` changes them.
     """
 
-    def _build(self, config: A1Config | None = None, name: str = "a1") -> None:
-        self._config = A1Config() if config is None else config
+    def _build(self, config: A1Config, name: str = "a1") -> None:
+        self._config = config
         self._config.validate()
         self._kinematics = links.VARIANTS[self._config.variant].kinematics
         self._mjcf_root = mjcf.RootElement(model=name)

@@ -44,17 +44,17 @@ class Skateboard(composer.Entity):
     while neither has a priority), so ``deck_friction``, the grip tape's, is a lower bound.
     """
 
-    def _build(self, config: SkateboardConfig | None = None, name: str = "board") -> None:
+    def _build(self, config: SkateboardConfig, name: str = "board") -> None:
         """Builds the board.
 
         Args:
-            config: its settings; the default board without.
+            config: its settings.
             name: of the model.
 
         Raises:
             ConfigError: if a setting cannot be used.
         """
-        self._config = config or SkateboardConfig()
+        self._config = config
         self._config.validate(name)
         self._root = mjcf.RootElement(model=name)
         self._root.compiler.angle = "radian"

@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import fields
 from pathlib import Path
 
+import defaults
 import mujoco
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ TORQUE, SPEED = 33.5, 21.0
 
 @pytest.fixture(scope="module", params=VARIANTS)
 def robot(request):
-    return A1(A1Config(variant=request.param))
+    return A1(defaults.robot(variant=request.param))
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def actuator_force(entity, physics, target, q, v):
 
 @pytest.mark.parametrize(("variant", "mass"), [("unitree", 12.453), ("isaac", 13.741)])
 def test_total_mass(variant, mass):
-    entity = A1(A1Config(variant=variant))
+    entity = A1(defaults.robot(variant=variant))
     physics = mjcf.Physics.from_mjcf_model(entity.mjcf_model)
     assert physics.model.body_mass.sum() == pytest.approx(mass, abs=1e-9)
 
@@ -250,7 +251,7 @@ def test_contact_bits_and_groups(robot):
 
 
 def test_foot_and_joint_settings_reach_the_model():
-    config = A1Config(foot_friction=0.37, joint_friction=0.2, joint_damping=0.05, armature=0.02, torque_limit=20)
+    config = defaults.robot(foot_friction=0.37, joint_friction=0.2, joint_damping=0.05, armature=0.02, torque_limit=20)
     entity = A1(config)
     physics = mjcf.Physics.from_mjcf_model(entity.mjcf_model)
     np.testing.assert_allclose(physics.bind(entity.foot_geoms).friction[:, 0], 0.37)
@@ -293,7 +294,7 @@ def test_shank_stays_above_the_ball_of_the_foot(calf, pitch):
     ],
 )
 def test_bad_settings_are_named(setting, value):
-    config = A1Config(**{setting: value})
+    config = defaults.robot(**{setting: value})
     with pytest.raises(ConfigError, match=rf"^robot\.{setting} is .*; use ") as error:
         config.validate()
     assert "\n" not in str(error.value)
@@ -308,7 +309,7 @@ def test_yaml_has_every_setting(name, variant):
         loaded = compose(name)
     values = OmegaConf.to_container(loaded)
     assert set(values) == {field.name for field in fields(A1Config)}
-    assert A1Config(**values) == A1Config(variant=variant)
+    assert defaults.robot(**values) == defaults.robot(variant=variant)
 
 
 def test_compiles_under_mujoco_without_warnings(robot, capfd):

@@ -4,6 +4,7 @@ import dataclasses
 import math
 from pathlib import Path
 
+import defaults
 import mujoco
 import numpy as np
 import pytest
@@ -116,7 +117,7 @@ class World:
 
 def soft(angle: float = 45.0) -> SkateboardConfig:
     """A board soft enough that torques too small to lift a wheel lean it well."""
-    return SkateboardConfig(truck_angle=angle, truck_stiffness=2.0, truck_limit=12.0)
+    return defaults.board(truck_angle=angle, truck_stiffness=2.0, truck_limit=12.0)
 
 
 @pytest.mark.parametrize("timestep", [0.005, 0.010])
@@ -152,7 +153,7 @@ def test_the_isaac_preset_has_the_papers_masses_and_limits() -> None:
 
 
 def test_the_default_preset_is_the_dataclass() -> None:
-    assert preset("default") == SkateboardConfig()
+    assert preset("default") == defaults.board()
 
 
 @pytest.mark.parametrize("angle", [21.8, 45.0, 60.0])
@@ -199,7 +200,7 @@ def test_a_leaning_board_turns_to_its_side_on_the_laws_radius(torque: float, tim
 
 @pytest.mark.parametrize("torque", [1.0, -1.0, 0.5])
 def test_roll_torque_over_lean_is_the_roll_stiffness(torque: float) -> None:
-    config = dataclasses.replace(SkateboardConfig(), truck_stiffness=5.0)
+    config = dataclasses.replace(defaults.board(), truck_stiffness=5.0)
     world = World(config)
     world.run(3.0, torque=(torque, 0, 0))
     # The deck's weight, above the axis, helps it to lean.
@@ -209,7 +210,7 @@ def test_roll_torque_over_lean_is_the_roll_stiffness(torque: float) -> None:
 
 @pytest.mark.parametrize("timestep", [0.005, 0.010])
 def test_the_stop_holds_more_than_the_robots_weight(timestep: float) -> None:
-    world = World(SkateboardConfig(), timestep)
+    world = World(defaults.board(), timestep)
     world.run(2.0, force=(0, 0, -250), point=(0, -0.05, 0))
     assert world.lean > world.config.max_lean
     assert world.lean < 1.05 * world.config.max_lean
@@ -282,7 +283,7 @@ def test_the_free_board_coasts_and_loses_speed_by_its_own_friction(name: str, ti
 
 
 def test_rolling_wheels_do_not_slip() -> None:
-    world = World(SkateboardConfig())
+    world = World(defaults.board())
     world.start_rolling(1.0)
     world.run(1.0)
     rolled = world.wheels.qvel * world.config.wheel_radius
@@ -315,13 +316,13 @@ def test_a_welded_deck_does_not_move(name: str, corner: tuple[float, float], tim
 
 
 def test_the_same_load_moves_the_free_deck() -> None:
-    world = World(SkateboardConfig())
+    world = World(defaults.board())
     world.run(1.0, force=(0, 0, -120), point=(0.2, 0.07, 0))
     assert abs(world.lean) > math.radians(2)
 
 
 def test_the_root_frame_is_the_centre_of_the_decks_top() -> None:
-    world = World(SkateboardConfig())
+    world = World(defaults.board())
     site = world.physics.bind(world.board.deck_site)
     deck = world.physics.bind(world.board.deck_geom)
     np.testing.assert_allclose(site.xpos, [0, 0, 0.088], atol=1e-12)
@@ -330,7 +331,7 @@ def test_the_root_frame_is_the_centre_of_the_decks_top() -> None:
 
 
 def test_only_the_deck_box_and_four_spheres_collide() -> None:
-    world = World(SkateboardConfig())
+    world = World(defaults.board())
     geoms = world.board.mjcf_model.find_all("geom")
     solid = [world.board.deck_geom, *world.board.wheel_geoms]
     assert [geom.name for geom in solid] == [
@@ -347,7 +348,7 @@ def test_only_the_deck_box_and_four_spheres_collide() -> None:
 
 
 def test_the_wheels_bring_hardly_any_inertia() -> None:
-    world = World(SkateboardConfig())
+    world = World(defaults.board())
     mass = np.zeros((world.physics.model.nv, world.physics.model.nv))
     mujoco.mj_fullM(world.physics.model.ptr, world.physics.data.ptr, mass)
     dofs = world.physics.model.jnt_dofadr[world.wheels.element_id]
@@ -374,7 +375,7 @@ def test_the_wheels_bring_hardly_any_inertia() -> None:
     ],
 )
 def test_a_bad_setting_is_named(change: dict[str, float], named: str) -> None:
-    config = dataclasses.replace(SkateboardConfig(), **change)
+    config = dataclasses.replace(defaults.board(), **change)
     with pytest.raises(ConfigError, match=rf"^board\.{named}=") as caught:
         Skateboard(config)
     assert "\n" not in str(caught.value)

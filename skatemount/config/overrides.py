@@ -1,0 +1,109 @@
+"""What a user writes on a command line, brought into the form that Hydra takes, and checked before it is composed."""
+
+from __future__ import annotations
+
+import re
+import typing
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from skatemount.config.files import choices, groups
+from skatemount.config.keys import is_known, keys, table_of, unknown
+from skatemount.config.programs import PROGRAMS
+from skatemount.config.versions import rename_override
+from skatemount.utils.errors import ConfigError
+
+_WHOLE_FLOAT = re.compile(r"[+-]?\d[\d_]*(\.\d*)?[eE]\+?\d+|[+-]?\d[\d_]*\.0*")
+
+
+@dataclass(frozen=True)
+class Override:
+    """One ``key=value`` of a command line.
+
+    Attributes:
+        written: The text as the user wrote it.
+        prefix: ``+``, ``++`` or ``~`` before the key.
+        key: The dotted key, or the group.
+        value: The text behind ``=``; None without one, as in ``~reward.alive``.
+    """
+
+    written: str
+    prefix: str
+    key: str
+    value: str | None
+
+    @classmethod
+    def parse(cls, written: str) -> Override:
+        """Return the parts of an override."""
+        key, equals, value = written.lstrip("+~").partition("=")
+        prefix = written[: len(written) - len(written.lstrip("+~"))]
+        return cls(written, prefix, key, value if equals else None)
+
+    @property
+    def group(self) -> str:
+        """The key without ``@package``, which a group may have."""
+        return self.key.partition("@")[0]
+
+
+def prepare(overrides: Sequence[str], program: str) -> list[str]:
+    """Return overrides in Hydra's form, under today's names.
+
+    Args:
+        overrides: As the user wrote them.
+        program: The program that they are for.
+
+    Returns:
+        As many overrides. ``+stage=x`` becomes ``stage=x``, as the group is in the defaults list; a row that is not
+        in a table yet is added; ``total_frames=1e6`` becomes a whole number.
+
+    Raises:
+        ConfigError: A setting or choice that does not exist; the message says what is near.
+    """
+    return [_prepared(Override.parse(rename_override(each)), each, program) for each in overrides]
+
+
+def _prepared(override: Override, written: str, program: str) -> str:
+    schema, key = PROGRAMS[program], override.key
+    if key == "hydra" or key.startswith(("hydra.", "hydra/")):
+        return override.written
+    if override.group in groups(program):
+        _check_choices(override, written)
+        return override.written.lstrip("+")
+    if not is_known(schema, key):
+        raise ConfigError(unknown(program, key, written))
+    if override.value is None:
+        return override.written
+    value = override.value
+    if _is_whole(keys(schema).get(key)):
+        value = ",".join(map(_whole, value.split(",")))
+    prefix = override.prefix
+    if not prefix and table_of(schema, key) is not None:
+        prefix = "++"
+    return f"{prefix}{key}={value}"
+
+
+def _check_choices(override: Override, written: str) -> None:
+    """Raise `ConfigError` unless every choice, of a sweep too, is a file of the group."""
+    if override.value is None or override.value.startswith("["):
+        return
+    known = choices(override.group)
+    for each in override.value.split(","):
+        name = each.strip().strip("'\"")
+        if override.group == "suite" and name == "null":
+            raise ConfigError(f"{written}: leave suite out for the task that the policy was trained in")
+        if name not in known and name != "null" and not name.startswith(("glob(", "choice(")):
+            raise ConfigError(f"{written}: there is no {override.group} {name}; there are: {', '.join(known)}")
+
+
+def _is_whole(hint: object) -> bool:
+    return hint is int or int in typing.get_args(hint) and float not in typing.get_args(hint)
+
+
+def _whole(value: str) -> str:
+    """Return a number such as 1e6 or 5.0 without exponent and point; anything else as it is."""
+    text = value.strip()
+    return str(int(float(text.replace("_", "")))) if _is_whole_number(text) else value
+
+
+def _is_whole_number(text: str) -> bool:
+    return bool(_WHOLE_FLOAT.fullmatch(text)) and len(text) < 30 and float(text.replace("_", "")).is_integer()

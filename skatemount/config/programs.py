@@ -1,0 +1,131 @@
+"""Settings of the programs other than training, as dataclasses; each refuses what does not concern it."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from skatemount.config.bench import BenchConfig
+from skatemount.config.schema import Config, check_root, check_seed
+from skatemount.config.suite import SuiteConfig
+from skatemount.envs.config.task import TaskConfig
+from skatemount.utils.errors import ConfigError
+
+
+@dataclass
+class RunsConfig:
+    """Place of the runs.
+
+    Attributes:
+        root: Folder of all runs.
+    """
+
+    root: str
+
+
+@dataclass
+class PolicyConfig(TaskConfig):
+    """Settings that `EvaluateConfig` and `RecordConfig` share: a policy and the task to try it in.
+
+    Settings of the task count only where the user gives them: the task is the suite's, or that of the policy's
+    training (`skatemount.evaluation.suite_task.evaluation_config`).
+
+    Attributes:
+        checkpoint: Policy: ``latest``, ``best``, a run, a checkpoint, a file, or ``pretrained:NAME``.
+        pipeline: Two policies in turn instead, ``WALK+MOUNT``.
+        switch_distance: Distance from the board at which the second policy takes over, m.
+        suite: Test to try it in; null for the task of its training.
+        seed: Seed of worlds and start states.
+        logger: Place of the runs.
+        output: Folder for what is made.
+    """
+
+    checkpoint: str
+    pipeline: str | None
+    switch_distance: float
+    suite: SuiteConfig | None
+    seed: int
+    logger: RunsConfig
+    output: str | None
+
+    def validate(self) -> None:
+        """Raise `ConfigError` for the first setting that cannot be used."""
+        super().validate()
+        check_seed(self.seed)
+        check_root(self.logger.root, "logger")
+        if self.suite is not None:
+            self.suite.validate("suite")
+        if not self.switch_distance > 0:
+            raise ConfigError(f"switch_distance={self.switch_distance} must be above 0, in meters")
+
+
+@dataclass
+class EvaluateConfig(PolicyConfig):
+    """Settings of `python -m skatemount.evaluate`; ``conf/evaluate.yaml`` has the defaults.
+
+    Attributes:
+        episodes: Episodes of each suite.
+        json: File for the results.
+    """
+
+    episodes: int
+    json: str | None
+
+    def validate(self) -> None:
+        """Raise `ConfigError` for the first setting that cannot be used."""
+        super().validate()
+        if self.episodes < 1:
+            raise ConfigError(f"episodes={self.episodes} must be at least 1")
+
+
+@dataclass
+class RecordConfig(PolicyConfig):
+    """Settings of `python -m skatemount.record`; ``conf/record.yaml`` has the defaults.
+
+    Attributes:
+        episode: Number of the episode to film, as the evaluation counts.
+    """
+
+    episode: int
+
+    def validate(self) -> None:
+        """Raise `ConfigError` for the first setting that cannot be used."""
+        super().validate()
+        if not 0 <= self.episode <= MAX_EPISODE:
+            raise ConfigError(f"episode={self.episode} must be 0 or more, and at most {MAX_EPISODE}")
+
+
+@dataclass
+class BenchProgramConfig(Config):
+    """Settings of `python -m skatemount.bench`; ``conf/bench.yaml`` has the defaults.
+
+    Attributes:
+        bench: Measurements to take.
+        json: File for the figures.
+        output: Folder for the picture.
+    """
+
+    bench: BenchConfig
+    json: str | None
+    output: str | None
+
+    def validate(self) -> None:
+        """Raise `ConfigError` for the first setting that cannot be used."""
+        super().validate()
+        self.bench.validate("bench")
+
+    @property
+    def training(self) -> Config:
+        """The settings of the training that is measured."""
+        return Config(**{field.name: getattr(self, field.name) for field in dataclasses.fields(Config)})
+
+
+MAX_EPISODE = 2**40
+
+PROGRAMS: dict[str, type[TaskConfig]] = {
+    "train": Config,
+    "evaluate": EvaluateConfig,
+    "record": RecordConfig,
+    "bench": BenchProgramConfig,
+}
+"""Schema of each program; its YAML file has the same name."""
