@@ -20,12 +20,13 @@ CANDIDATES := $(if $(PYTHON),"$(PYTHON)",python3.12 python3.11 python3.13 python
 LOCK := pyproject.toml constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help train demo test lint docs clean setup setup-test setup-dev
+.PHONY: help train demo test nightly lint docs clean setup setup-test setup-dev
 
 help:
 	@echo "make train      set up, train the $(STAGE) stage on the CPU and print the evaluated success"
 	@echo "make demo       set up, then evaluate and film the shipped policy $(POLICY)"
 	@echo "make test       set up, then run the tests"
+	@echo "make nightly    every test, the slow ones and those for a GPU too, and the short benchmarks"
 	@echo "make lint       ruff and mypy"
 	@echo "make docs       build the documentation into docs/_build/html"
 	@echo "make clean      remove the environment and everything that tools made (not runs/)"
@@ -41,6 +42,12 @@ demo: setup
 
 test: setup-test
 	$(PY) -m pytest $(ARGS)
+
+nightly: setup-test
+	$(PY) -m pytest -n 2 $(ARGS)
+	$(PY) -m pytest -m "slow or gpu" $(ARGS)
+	$(PY) benchmarks/startup_time.py
+	$(PY) benchmarks/learner_parts.py
 
 lint: setup-dev
 	$(PY) -m ruff check .
