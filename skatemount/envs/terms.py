@@ -1,7 +1,8 @@
-"""Terms: rewards, observations and terminations as named functions that a YAML table switches on.
+"""Terms: named functions for rewards, observations and terminations, switched on by tables in YAML.
 
-A term is a function ``(sim, episode, context, **parameters)`` registered under a name. A table in the configuration
-maps names to parameters; an unknown name or parameter is an error that lists the known ones.
+A term is a function ``(sim, episode, context, **parameters)`` that is registered under its own name. A table in the
+configuration maps names of terms to their parameters. An unknown name or parameter is an error that lists the known
+ones.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, get_args, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import torch
@@ -33,10 +34,10 @@ class TaskContext:
     Attributes:
         control_step: Seconds between two actions.
         default_pose: ``[12]`` joint angles of the stance, rad.
-        soft_limits: ``[12, 2]`` middle 90 % of the joint ranges, rad.
+        soft_limits: ``[12, 2]`` lower and upper bound of the middle 90 % of the joint ranges, rad.
         deck_half: Half length and half width of the deck, m.
         deck_height: Height of the deck's top above the board's floor at rest, m.
-        foot_radius: m.
+        foot_radius: Radius of a foot, m.
         stance_height: Height of the trunk's centre above the soles in the default pose, m.
         episode_steps: Control steps of a full episode.
     """
@@ -52,11 +53,14 @@ class TaskContext:
 
     @classmethod
     def of(cls, scene: Scene, episode_length: float) -> TaskContext:
-        """Constants of a scene.
+        """Collect the constants of a scene.
 
         Args:
             scene: The scene.
-            episode_length: Seconds.
+            episode_length: Length of a full episode, s.
+
+        Returns:
+            The constants, with tensors on torch's default device.
         """
         robot, board = scene.robot, scene.board.config
         ranges = torch.as_tensor(robot.joint_range, dtype=torch.float32)
@@ -80,7 +84,7 @@ class Registry:
     """Named term functions of one kind.
 
     Args:
-        kind: What the terms are, for messages: ``reward``, ``observation`` or ``termination``.
+        kind: ``reward``, ``observation`` or ``termination``, for messages.
     """
 
     def __init__(self, kind: str):
@@ -89,10 +93,10 @@ class Registry:
         self._attributes: dict[str, Any] = {}
 
     def register(self, attributes: Any = None) -> Callable[[TermFunction], TermFunction]:
-        """Decorator that adds a function under its own name.
+        """Return a decorator that registers a function under its own name.
 
         Args:
-            attributes: What else is known of the term; see `attributes`.
+            attributes: Properties of the term, which `attributes` returns.
 
         Raises:
             ValueError: The name is taken.
@@ -109,52 +113,56 @@ class Registry:
         return add
 
     def names(self) -> list[str]:
-        """Every known name, sorted."""
+        """Return every known name, sorted."""
         return sorted(self._functions)
 
-    def function(self, name: str) -> TermFunction:
-        """The function registered under a name; `ConfigError` if there is none."""
+    def attributes(self, name: str) -> Any:
+        """Return the properties that a term was registered with."""
+        return self._attributes[name]
+
+    def bind(self, name: str, params: dict[str, Any], table: str | None = None) -> TermFunction:
+        """Return a term's function with its parameters set.
+
+        Args:
+            name: Name of the term.
+            params: Parameters by name.
+            table: Name of the table in the configuration, for messages; the kind of the terms if None.
+
+        Returns:
+            A function of state, episode and context.
+
+        Raises:
+            ConfigError: The term or a parameter is unknown, or a parameter has a value that cannot be used.
+        """
+        where = f"{table or self.kind}.{name}"
         if name not in self._functions:
             close = difflib.get_close_matches(name, self._functions, n=1)
             hint = f" (did you mean {close[0]}?)" if close else ""
-            raise ConfigError(f"{self.kind}.{name} is not a known {self.kind}{hint}; known: {', '.join(self.names())}")
-        return self._functions[name]
-
-    def attributes(self, name: str) -> Any:
-        """What was registered with a term."""
-        self.function(name)
-        return self._attributes[name]
-
-    def bind(self, name: str, params: dict[str, Any]) -> TermFunction:
-        """The term's function with its parameters set.
-
-        Args:
-            name: The term.
-            params: Parameters by name.
-
-        Raises:
-            ConfigError: An unknown term or parameter.
-        """
-        function = self.function(name)
+            raise ConfigError(f"{where} is not a known {self.kind}{hint}; known: {', '.join(self.names())}")
+        function = self._functions[name]
         known = list(inspect.signature(function).parameters)[3:]
         for key in params:
             if key not in known:
                 names = ", ".join(known) or "none"
-                raise ConfigError(f"{self.kind}.{name}.params.{key} is not a parameter; known: {names}")
+                raise ConfigError(f"{where}.params.{key} is not a parameter; known: {names}")
         types = get_type_hints(function)
         for key, value in params.items():
-            _check_parameter(f"{self.kind}.{name}.params.{key}", value, types[key])
+            _check_parameter(f"{where}.params.{key}", value, types[key])
         return partial(function, **params) if params else function
 
 
 def _check_parameter(where: str, value: Any, kind: Any) -> None:
+    if get_origin(kind) is Literal:
+        if value not in get_args(kind):
+            raise ConfigError(f"{where}={value} must be {' or '.join(get_args(kind))}")
+        return
     allowed = get_args(kind) or (kind,)
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if float in allowed and number:
         if not math.isfinite(value):
             raise ConfigError(f"{where}={value} must be a finite number")
         if where.endswith((".scale", ".sigma")) and value <= 0:
-            raise ConfigError(f"{where}={value} must be above 0: it is divided by")
+            raise ConfigError(f"{where}={value} must be above 0, because the term divides by it")
         return
     if isinstance(value, bool) != (bool in allowed) or not isinstance(value, allowed):
         names = " or ".join("null" if t is type(None) else t.__name__ for t in allowed)
@@ -164,8 +172,14 @@ def _check_parameter(where: str, value: Any, kind: Any) -> None:
 
 
 def upright(sim: SimState) -> Tensor:
-    """How upright the trunk is, ``[N]`` in 0..1; 1 within about 45 degrees of upright.
+    """Compute how upright the trunk is: clamp(-g_z, 0, 0.7) / 0.7, with g_z of gravity's direction in the trunk frame.
 
-    u = clamp(-g_z, 0, 0.7) / 0.7, the factor of the paper's code on most of its terms.
+    The paper's code multiplies most of its reward terms by this factor.
+
+    Args:
+        sim: The state.
+
+    Returns:
+        ``[N]`` from 0 to 1; 1 within about 45 degrees of upright.
     """
     return (-sim.gravity[:, 2]).clamp(0.0, 0.7) / 0.7

@@ -343,15 +343,25 @@ def test_a_history_is_of_the_frames_as_they_were_seen(
     ("terms", "expected"),
     [
         ({"gravity": ObservationTerm(history_length=0)}, ["observation.policy.gravity.history_length=0", "1"]),
-        ({"base_ang_velo": ObservationTerm()}, ["observation.base_ang_velo", "did you mean base_ang_vel?", "on_deck"]),
-        ({"outline": ObservationTerm(params={"point": 8})}, ["observation.outline.params.point", "known: points"]),
-        ({"gravity": ObservationTerm(params={"x": 8})}, ["observation.gravity.params.x", "known: none"]),
+        (
+            {"base_ang_velo": ObservationTerm()},
+            ["observation.policy.base_ang_velo is not", "did you mean base_ang_vel?", "on_deck"],
+        ),
+        (
+            {"outline": ObservationTerm(params={"point": 8})},
+            ["observation.policy.outline.params.point is not", "known: points"],
+        ),
+        ({"outline": ObservationTerm(params={"points": 0})}, ["observation.policy.outline.params.points=0 must be"]),
+        ({"gravity": ObservationTerm(params={"x": 8})}, ["observation.policy.gravity.params.x is not", "known: none"]),
         ({"gravity": ObservationTerm(noise=-0.1)}, ["gravity.noise=-0.1", "0 or more"]),
         ({"gravity": ObservationTerm(noise=math.nan)}, ["gravity.noise=nan", "0 or more"]),
         ({"gravity": ObservationTerm(scale=math.inf)}, ["gravity.scale=inf", "finite"]),
         ({"gravity": ObservationTerm(clip=0.0)}, ["gravity.clip=0.0", "above 0"]),
         ({"gravity": ObservationTerm(clip=math.nan)}, ["gravity.clip=nan", "above 0"]),
-        ({"board_pos": ObservationTerm(params={"at": "wheel"})}, ["at=wheel", "deck", "ground"]),
+        (
+            {"board_pos": ObservationTerm(params={"at": "wheel"})},
+            ["observation.policy.board_pos.params.at=wheel must be deck or ground"],
+        ),
         ({}, ["observation.policy is empty"]),
     ],
 )
@@ -381,3 +391,24 @@ def test_bad_tables_are_one_clear_line(
 def test_a_history_that_cannot_be_is_one_clear_line(override: str, expected: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(expected)):
         MountTask(overrides=[override]).make_mdp(torch.Generator())
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("+observation.policy.foo={}", "observation.policy.foo is not a known observation"),
+        ("+observation.privileged.foo={}", "observation.privileged.foo is not a known observation"),
+        ("+observation.policy.gravity.params.x=1", "observation.policy.gravity.params.x is not a parameter"),
+        ("+observation.privileged.heights.params.x=1", "observation.privileged.heights.params.x is not a parameter"),
+        ("observation.policy.outline.params.points=x", "observation.policy.outline.params.points=x must be"),
+        ("+observation.policy.board_pos.params.at=wheel", "observation.policy.board_pos.params.at=wheel must be"),
+        ("+reward.foo={}", "reward.foo is not a known reward"),
+        ("+reward.alive.params.x=1", "reward.alive.params.x is not a parameter"),
+        ("+termination.foo={}", "termination.foo is not a known termination"),
+        ("termination.tilt.params.degrees=x", "termination.tilt.params.degrees=x must be"),
+    ],
+)
+def test_an_error_names_the_setting_as_it_was_written(override: str, expected: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(expected)) as error:
+        MountTask(overrides=[override])
+    assert "\n" not in str(error.value)

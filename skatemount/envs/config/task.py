@@ -122,17 +122,17 @@ class TaskConfig:
 
     def validate_terms(self) -> None:
         """Raise `ConfigError` for an unknown term or parameter in one of the tables."""
-        # Only here: the terms are functions of tensors, and torch takes seconds to import.
+        # Imported here because the terms need torch, which takes seconds to import.
         from skatemount.envs.observations import OBSERVATIONS
         from skatemount.envs.rewards import REWARDS
         from skatemount.envs.terminations import TERMINATIONS
 
         tables = (
-            (REWARDS, self.reward),
-            (TERMINATIONS, self.termination),
-            (OBSERVATIONS, self.observation.policy),
-            (OBSERVATIONS, self.observation.privileged),
+            (REWARDS, "reward", self.reward),
+            (TERMINATIONS, "termination", self.termination),
+            (OBSERVATIONS, "observation.policy", self.observation.policy),
+            (OBSERVATIONS, "observation.privileged", self.observation.privileged),
         )
-        for registry, table in tables:
+        for registry, where, table in tables:
             for name, term in table.items():
-                registry.bind(name, term.params)
+                registry.bind(name, term.params, where)

@@ -1,7 +1,7 @@
-"""Observation terms and the table that puts them into one vector."""
+"""Observation terms, and the table that concatenates them into one vector."""
 
 from skatemount.envs.config.terms import ObservationTerm
 from skatemount.envs.observations import terms
-from skatemount.envs.observations.table import OBSERVATIONS, Layout, ObservationTable
+from skatemount.envs.observations.table import OBSERVATIONS, ObservationTable, TermLayout
 
-__all__ = ["OBSERVATIONS", "Layout", "ObservationTable", "ObservationTerm", "terms"]
+__all__ = ["OBSERVATIONS", "ObservationTable", "ObservationTerm", "TermLayout", "terms"]

@@ -1,4 +1,4 @@
-"""The observation table: which terms are seen, how well and for how long, as one vector."""
+"""The observation table: terms with their noise, scale and history, concatenated into one vector."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from skatemount.utils.errors import ConfigError
 
 
 @dataclass(frozen=True)
-class Layout:
-    """How an observation term is laid out.
+class TermLayout:
+    """The size of an observation term and its left-right symmetry.
 
     Attributes:
-        size: Number of values, or a function of the term's parameters.
-        mirror: Kind of `skatemount.envs.mirror.mirror_map`, or none if the term has no left-right mirror image.
+        size: Number of values, or a function that computes it from the term's parameters.
+        mirror: A kind of `skatemount.envs.mirror.mirror_map`; None if the term has no left-right mirror image.
     """
 
     size: int | Callable[[dict[str, Any]], int]
     mirror: str | None
 
     def count(self, params: dict[str, Any]) -> int:
-        """Number of values with the given parameters."""
+        """Return the number of values for the given parameters."""
         return self.size if isinstance(self.size, int) else self.size(params)
 
 
@@ -39,13 +39,18 @@ OBSERVATIONS = Registry("observation")
 
 
 def observation(size: int | Callable[[dict[str, Any]], int], mirror: str | None) -> Callable:
-    """Register a term; the arguments are those of `Layout`."""
-    return OBSERVATIONS.register(Layout(size, mirror))
+    """Return a decorator that registers an observation term.
+
+    Args:
+        size: See `TermLayout`.
+        mirror: See `TermLayout`.
+    """
+    return OBSERVATIONS.register(TermLayout(size, mirror))
 
 
 @dataclass(frozen=True)
 class _Block:
-    """A term's place in the vector: ``frames`` times ``size`` values."""
+    """The part of the vector that belongs to one term: ``frames`` times ``size`` values."""
 
     name: str
     term: ObservationTerm
@@ -57,21 +62,21 @@ class _Block:
 class ObservationTable:
     """Observation terms in one vector.
 
-    A term with a history holds what was seen of it in the last control steps, one after the other, each with the noise
-    that it was seen with then.
+    A term with a history occupies several frames: its values of the last control steps, oldest first. Each frame keeps
+    the noise that was drawn for it.
 
     Args:
-        terms: The table, in order.
+        terms: Settings of the terms by name, in the order of the vector.
         context: Constants of the task.
         where: Name of the table in the configuration, for messages.
-        history_length: Frames of the terms that do not say how many.
+        history_length: Number of frames of the terms that do not set their own.
 
     Attributes:
-        size: Values in the vector.
-        names: Terms in order.
+        size: Number of values in the vector.
+        names: Names of the terms, in order.
 
     Raises:
-        ConfigError: No term, an unknown one, or a value that cannot be used.
+        ConfigError: The table is empty, a term is unknown, or a setting has a value that cannot be used.
     """
 
     def __init__(
@@ -82,15 +87,16 @@ class ObservationTable:
         history_length: int = 1,
     ):
         if not terms:
-            raise ConfigError(f"{where} is empty: it must name at least one of {', '.join(OBSERVATIONS.names())}")
+            raise ConfigError(f"{where} is empty; it must have at least one of {', '.join(OBSERVATIONS.names())}")
         self._context = context
-        self._functions = [OBSERVATIONS.bind(name, term.params) for name, term in terms.items()]
+        self._where = where
+        self._functions = [OBSERVATIONS.bind(name, term.params, where) for name, term in terms.items()]
         self._blocks = []
         for name, term in terms.items():
             own = term.history_length
             frames, setting = (history_length, where.rpartition(".")[0]) if own is None else (own, f"{where}.{name}")
             if frames < 1:
-                raise ConfigError(f"{setting}.history_length={frames} must be 1, for the present alone, or more")
+                raise ConfigError(f"{setting}.history_length={frames} must be 1 or more; 1 is the present alone")
             if not 0 <= term.noise < math.inf:
                 raise ConfigError(f"{where}.{name}.noise={term.noise} must be 0 or more, and finite")
             if not math.isfinite(term.scale):
@@ -113,13 +119,18 @@ class ObservationTable:
         self._clipped = bool(self._clip.isfinite().any())
 
     def _sources(self) -> tuple[Tensor, Tensor]:
-        """Where each value comes from: in a frame, or in the last vector followed by a frame."""
-        first, following, start, seen = [], [], 0, 0
+        """Compute the indices from which `__call__` gathers the vector.
+
+        Returns:
+            ``[size]`` int64 into the frame, for the first step of an episode, and ``[size]`` int64 into the previous
+            vector followed by the frame, for later steps.
+        """
+        first, following, start, column = [], [], 0, 0
         for block in self._blocks:
-            frame, end = torch.arange(seen, seen + block.size), start + block.size * block.frames
+            frame, end = torch.arange(column, column + block.size), start + block.size * block.frames
             first.append(frame.repeat(block.frames))
             following += [torch.arange(start + block.size, end), self.size + frame]
-            start, seen = end, seen + block.size
+            start, column = end, column + block.size
         return torch.cat(first), torch.cat(following)
 
     def __call__(
@@ -129,14 +140,14 @@ class ObservationTable:
         generator: torch.Generator | None = None,
         previous: Tensor | None = None,
     ) -> Tensor:
-        """The vector of every world.
+        """Compute the vector of every world.
 
         Args:
             sim: The state.
             episode: The episodes.
-            generator: Source of the noise; without one there is none.
-            previous: ``[N, size]``, the vector one control step ago; none at the start of an episode, where the first
-                frame stands for those before it.
+            generator: Source of the noise; no noise if None.
+            previous: ``[N, size]``, the vector of the previous control step. None at the start of an episode, where
+                the first frame fills the whole history.
 
         Returns:
             ``[N, size]`` float32.
@@ -149,7 +160,7 @@ class ObservationTable:
         return torch.cat((previous, frame), 1)[:, self._next]
 
     def _frame(self, sim: SimState, episode: EpisodeState, generator: torch.Generator | None) -> Tensor:
-        """What is seen now: noise, then clip, then scale."""
+        """Compute the present frame, ``[N, F]``: the terms with noise, then clip, then scale."""
         values = torch.cat([f(sim, episode, self._context) for f in self._functions], -1)
         if generator is not None and self._noisy:
             values = torch.addcmul(values, coarse_noise(values.shape, generator), self._noise)
@@ -158,7 +169,11 @@ class ObservationTable:
         return values * self._scale
 
     def layout(self) -> list[dict[str, Any]]:
-        """The contract of the vector: each term's name, size and scale in order, and its frames if it has several."""
+        """Describe the vector for a policy's card.
+
+        Returns:
+            The name, size and scale of each term in order, and its number of frames if it has several.
+        """
         parts = []
         for block in self._blocks:
             part = {"name": block.name, "size": block.size * block.frames, "scale": round(float(block.term.scale), 6)}
@@ -166,10 +181,10 @@ class ObservationTable:
         return parts
 
     def mirror(self) -> tuple[Tensor, Tensor]:
-        """The left-right mirror image as a permutation and signs: ``mirrored = x[:, permutation] * signs``.
+        """Return the left-right mirror image as a permutation and signs: ``mirrored = x[:, permutation] * signs``.
 
         Returns:
-            ``[size]`` int64 and ``[size]`` float32.
+            The permutation, ``[size]`` int64, and the signs, ``[size]`` float32.
 
         Raises:
             ConfigError: A term has no mirror image.
@@ -178,8 +193,8 @@ class ObservationTable:
         for block in self._blocks:
             if block.mirror is None:
                 raise ConfigError(
-                    f"observation term {block.name} has no left-right mirror image: choose another or "
-                    "network.symmetric=false"
+                    f"{self._where}.{block.name} has no left-right mirror image, which network.symmetric=true needs; "
+                    "remove the term or set network.symmetric=false"
                 )
             permutation, sign = mirror_map(block.mirror, block.size)
             for _ in range(block.frames):
