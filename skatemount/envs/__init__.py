@@ -1,4 +1,4 @@
-"""The task, its physics and its batched environment."""
+"""The task, its physics engines and its batched environment."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["MountEnv", "MountTask"]
 
 
 def __getattr__(name: str) -> Any:
-    # Settings lie below this package and are checked without torch and MuJoCo, which the classes need.
+    # The classes need torch and MuJoCo. The settings in this package must be importable without them.
     if name == "MountEnv":
         from skatemount.envs.mount_env import MountEnv
 

@@ -1,4 +1,4 @@
-"""Velocity commands: sampled for the gait, computed from the board's pose elsewhere."""
+"""Velocity commands: sampled from ranges, or computed from the board's pose."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from skatemount.envs.state import EpisodeState, SimState
 
 
 def toward_board(sim: SimState, direction: Tensor | None = None) -> Tensor:
-    """Velocity command toward the board, the law of the paper's code.
+    """Compute the velocity command toward the board by the law of the paper's code.
 
-    With p the board's place in the trunk's frame, psi its yaw and theta the bearing of p: within 0.5 m
-    (2 p_x, 2 p_y, psi / pi), farther away (1 - |theta| / pi, 0, theta / pi).
+    Let p be the board's position in the trunk frame, psi its yaw and theta the bearing of p. Within 0.5 m the command
+    is (2 p_x, 2 p_y, psi / pi), farther away it is (1 - |theta| / pi, 0, theta / pi).
 
     Args:
         sim: The state.
-        direction: ``[N, 1]`` which end psi is the yaw of, as in `EpisodeState.board_direction`; if not given, the end
-            that the board's x axis points to (the paper's code).
+        direction: ``[N, 1]`` the end of the board that psi is the yaw of, as in `EpisodeState.board_direction`. If
+            None, the end that the board's x axis points to (paper's code).
 
     Returns:
-        ``[N, 3]`` forward, left (m/s), turn left (rad/s).
+        ``[N, 3]``: forward and left in m/s, turn left in rad/s.
     """
-    place, x_axis = sim.board_pos_base, sim.board_rot_base[..., 0]
+    position, x_axis = sim.board_pos_base, sim.board_rot_base[..., 0]
     if direction is not None:
         x_axis = x_axis * direction
     yaw = torch.atan2(x_axis[:, 1], x_axis[:, 0]) / math.pi
-    bearing = torch.atan2(place[:, 1], place[:, 0]) / math.pi
-    near = torch.linalg.vector_norm(place[:, :2], dim=-1) < 0.5
-    close = torch.stack((2 * place[:, 0], 2 * place[:, 1], yaw), 1)
+    bearing = torch.atan2(position[:, 1], position[:, 0]) / math.pi
+    near = torch.linalg.vector_norm(position[:, :2], dim=-1) < 0.5
+    close = torch.stack((2 * position[:, 0], 2 * position[:, 1], yaw), 1)
     far = torch.stack((1 - bearing.abs(), torch.zeros_like(bearing), bearing), 1)
     return torch.where(near.unsqueeze(1), close, far)
 
 
 class CommandGenerator:
-    """Keeps the velocity command of every world.
+    """The velocity commands of a batch of worlds.
 
     Args:
-        config: Where commands come from.
-        control_step: Seconds between two actions.
+        config: Settings of the commands.
+        control_step: Time between two actions, s.
         generator: Source of randomness.
     """
 
@@ -58,20 +58,20 @@ class CommandGenerator:
 
         Args:
             sim: The state.
-            episode: The episodes; a world whose ``command_steps`` have run out gets a new sampled command.
+            episode: The episodes. With sampled commands, a world whose ``command_steps`` have run out gets a new one.
         """
         if self._config.mode == "board":
             episode.command = toward_board(sim, episode.board_direction if self._config.turn_to == "nearer" else None)
         elif self._config.mode == "sampled":
             due = episode.command_steps <= 0
             episode.command = torch.where(due.unsqueeze(1), self._draw(len(due)), episode.command)
-            left = torch.where(due, self._steps, episode.command_steps)
-            episode.command_steps = left - 1
+            remaining = torch.where(due, self._steps, episode.command_steps)
+            episode.command_steps = remaining - 1
 
     def _draw(self, n: int) -> Tensor:
         c, bounds = self._config, self._bounds
-        share = uniform((n, 3), self._generator)
-        command = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * share
+        fraction = uniform((n, 3), self._generator)
+        command = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * fraction
         slow = torch.linalg.vector_norm(command[:, :2], dim=-1, keepdim=True) < c.deadband
         command[:, :2] = torch.where(slow, 0.0, command[:, :2])
         standing = uniform((n, 1), self._generator) < c.standing

@@ -1,4 +1,4 @@
-"""What happened in the episodes that ended: sums kept on the device, read once an iteration."""
+"""Means over ended episodes: sums stay on the device and are read once per iteration."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from skatemount.envs.mdp import Mdp, StepResult
 from skatemount.envs.state import EpisodeState
 
 SUMS = ("episodes", "successes", "length", "feet", "mount_time", "time_outs")
-"""What is added up over the episodes that ended: how many, how many succeeded, and so on."""
+"""Names of the sums over ended episodes."""
 
 
 class EpisodeStatistics:
     """Means over the episodes that ended since the last `pop`, under the field's metric names.
 
     Args:
-        mdp: The task's mathematics, for the names of its terms.
+        mdp: The task's dynamics, for the names of its terms.
         num_worlds: Number of worlds.
     """
 
@@ -25,47 +25,47 @@ class EpisodeStatistics:
         self._step = mdp.context.control_step
         self._seconds = mdp.context.episode_steps * self._step
         self._mounts = mdp.criterion == "mount"
-        self._rewards, self._ends = mdp.rewards.names, mdp.end_names()
+        self._rewards, self._terminations = mdp.rewards.names, mdp.termination_names()
         self._n, self._device = num_worlds, mdp.device
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything, the running episodes' returns included."""
+        """Reset all sums, those of the running episodes included."""
         with self._device:
             self._returns = torch.zeros(len(self._rewards), self._n)
             self._feet = torch.zeros(self._n)
             self._steps = torch.zeros(self._n)
             self._counted = torch.ones(self._n, dtype=torch.bool)
-        self._forget()
+        self._clear_sums()
 
     def restart(self, mask: Tensor) -> None:
-        """Forget the running episodes of some worlds.
+        """Start new episodes in some worlds, whether their last ones had ended or not.
 
         Args:
-            mask: ``[N]`` bool, worlds that start anew, whether their episodes had ended or not.
+            mask: ``[N]`` bool, the worlds that are reset.
         """
         self._returns.masked_fill_(mask, 0.0)
         self._feet.masked_fill_(mask, 0.0)
         self._steps.masked_fill_(mask, 0.0)
         self._counted |= mask
 
-    def leave_out(self) -> None:
-        """Do not count the episodes that are running: they began in the middle."""
+    def exclude_running(self) -> None:
+        """Leave the running episodes out of the means, because they did not begin at a start state."""
         self._counted[:] = False
 
-    def _forget(self) -> None:
+    def _clear_sums(self) -> None:
         with self._device:
             self._sums = torch.zeros(len(SUMS), dtype=torch.float64)
-            self._shares = torch.zeros(len(self._rewards))
-            self._end_counts = torch.zeros(len(self._ends))
+            self._return_sums = torch.zeros(len(self._rewards))
+            self._termination_counts = torch.zeros(len(self._terminations))
 
     def add(self, episode: EpisodeState, outcome: StepResult, done: Tensor) -> None:
-        """Account for a step.
+        """Add a control step.
 
         Args:
             episode: The episodes after the step.
-            outcome: What it led to.
-            done: ``[N]`` bool, episodes that ended.
+            outcome: The result of the step.
+            done: ``[N]`` bool, episodes that ended in the step.
         """
         self._returns += outcome.reward_terms
         self._feet += episode.on_deck.sum(-1)
@@ -83,29 +83,33 @@ class EpisodeStatistics:
             outcome.truncated * ended,
         )
         self._sums += torch.stack(values).sum(1)
-        self._shares += self._returns @ ended
-        self._end_counts += outcome.termination_flags.to(torch.float32) @ ended
+        self._return_sums += self._returns @ ended
+        self._termination_counts += outcome.termination_flags.to(torch.float32) @ ended
         self.restart(done)
 
     def pop(self) -> dict[str, float]:
-        """Means since the last call; nothing if no episode ended."""
+        """Return the means since the last call, and start new sums.
+
+        Returns:
+            Means by metric name; empty if no episode ended.
+        """
         sums = dict(zip(SUMS, self._sums.tolist()))
         n = sums["episodes"]
         if not n:
             return {}
-        shares = self._shares / n
+        returns = self._return_sums / n
         metrics = {
-            "Train/mean_reward": float(shares.sum()),
+            "Train/mean_reward": float(returns.sum()),
             "Train/mean_episode_length": sums["length"] / n,
             "Success/rate": sums["successes"] / n,
             "Success/feet_on_board": sums["feet"] / n,
         }
         if sums["successes"] and self._mounts:
             metrics["Success/time_to_mount"] = sums["mount_time"] / sums["successes"]
-        for name, value in zip(self._rewards, shares.tolist()):
+        for name, value in zip(self._rewards, returns.tolist()):
             metrics[f"Episode_Reward/{name}"] = value / self._seconds
-        for name, value in zip(self._ends, (self._end_counts / n).tolist()):
+        for name, value in zip(self._terminations, (self._termination_counts / n).tolist()):
             metrics[f"Episode_Termination/{name}"] = value
         metrics["Episode_Termination/time_out"] = sums["time_outs"] / n
-        self._forget()
+        self._clear_sums()
         return metrics

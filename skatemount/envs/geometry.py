@@ -1,7 +1,7 @@
 """Rotations and frames on batches of torch tensors.
 
-Quaternions are ``w x y z`` and of unit length, shape ``[..., 4]``; rotation matrices ``[..., 3, 3]`` take vectors
-of the named frame to the world (their columns are the frame's axes).
+Quaternions are ``w x y z`` and of unit length, shape ``[..., 4]``. Rotation matrices, shape ``[..., 3, 3]``, map
+vectors of the named frame to the world: their columns are the frame's axes.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 def quat_to_matrix(quat: Tensor) -> Tensor:
-    """Rotation matrices of unit quaternions.
+    """Convert unit quaternions to rotation matrices.
 
     Args:
         quat: ``[..., 4]``, ``w x y z``.
@@ -29,10 +29,10 @@ def quat_to_matrix(quat: Tensor) -> Tensor:
 
 
 def quat_from_matrix(matrix: Tensor) -> Tensor:
-    """Unit quaternions of rotation matrices, the inverse of `quat_to_matrix` up to sign.
+    """Convert rotation matrices to unit quaternions, the inverse of `quat_to_matrix` up to sign.
 
-    Of the four ways to solve for a quaternion, the one that divides by its largest component (Shepperd, "Quaternion
-    from Rotation Matrix", 1978).
+    Of the four ways to solve for a quaternion, this takes the one that divides by the largest component (Shepperd,
+    "Quaternion from Rotation Matrix", 1978).
 
     Args:
         matrix: ``[..., 3, 3]``.
@@ -55,7 +55,7 @@ def quat_from_matrix(matrix: Tensor) -> Tensor:
 
 
 def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
-    """Hamilton product: the rotation ``b`` followed by the rotation ``a``.
+    """Multiply quaternions (Hamilton product): the rotation ``b`` followed by the rotation ``a``.
 
     Args:
         a: ``[..., 4]``.
@@ -78,12 +78,12 @@ def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
 
 
 def quat_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
-    """Quaternions of the intrinsic rotations yaw (z), pitch (y), roll (x).
+    """Convert intrinsic rotations yaw (z), pitch (y), roll (x) to quaternions.
 
     Args:
-        roll: Radians, any shape.
-        pitch: Radians, same shape.
-        yaw: Radians, same shape.
+        roll: Angles of any shape, rad.
+        pitch: Angles of the same shape, rad.
+        yaw: Angles of the same shape, rad.
 
     Returns:
         ``[..., 4]``.
@@ -99,7 +99,7 @@ def quat_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
 
 
 def rotate(matrix: Tensor, vectors: Tensor) -> Tensor:
-    """Take vectors of a frame to the world.
+    """Rotate vectors from a frame to the world.
 
     Args:
         matrix: ``[N, 3, 3]``.
@@ -114,7 +114,7 @@ def rotate(matrix: Tensor, vectors: Tensor) -> Tensor:
 
 
 def rotate_inverse(matrix: Tensor, vectors: Tensor) -> Tensor:
-    """Take vectors of the world into a frame.
+    """Rotate vectors from the world to a frame.
 
     Args:
         matrix: ``[N, 3, 3]``.
@@ -129,16 +129,19 @@ def rotate_inverse(matrix: Tensor, vectors: Tensor) -> Tensor:
 
 
 ACROSS = 0.25
-"""Sine of how far the trunk must turn beyond square across the board until the board's other end is its front."""
+"""Sine of the angle beyond perpendicular that the trunk must turn before the board's other end becomes its front."""
 
 
 def board_direction(rotation: Tensor, before: Tensor | None = None) -> Tensor:
-    """Which way round a board is seen by a robot: a board has no front, so the end that the trunk faces is it.
+    """Choose the end of the board that counts as its front: the one that the trunk faces.
+
+    A board has no front of its own. The choice has hysteresis, because without it the observed board would flip back
+    and forth when a robot that stands across it sways.
 
     Args:
         rotation: ``[N, 3, 3]`` the board's axes in the trunk frame (columns).
-        before: ``[N, 1]`` what it was so far, and stays until the trunk clearly faces the other end: a robot that
-            stands across the board and sways would see all of it turn round and back.
+        before: ``[N, 1]`` the previous choice, which stays until the trunk clearly faces the other end. None at the
+            start of an episode.
 
     Returns:
         ``[N, 1]``, 1 or -1: the factor of the board's x and y axes.
@@ -150,13 +153,13 @@ def board_direction(rotation: Tensor, before: Tensor | None = None) -> Tensor:
 
 
 def beyond_rectangle(xy: Tensor, half: tuple[float, float]) -> tuple[Tensor, Tensor]:
-    """How far points are outside a rectangle about the origin along each axis, negative inside.
+    """Compute the distances of points beyond a rectangle about the origin along each axis, negative inside.
 
     Args:
-        xy: ``[..., 2]`` or more columns, of which the first two count, m.
+        xy: ``[..., 2]`` m; further columns are ignored.
         half: Half length (x) and half width (y), m.
 
     Returns:
-        ``[...]`` m along x, and along y.
+        ``[...]`` m along x, and ``[...]`` m along y.
     """
     return xy[..., 0].abs() - half[0], xy[..., 1].abs() - half[1]

@@ -4,7 +4,7 @@ Legs are in the order FR, FL, RR, RL. Each is a hip rotation about x, then thigh
 
     foot = hip + Rx(q0) ([0, side * thigh_y, 0] + Ry(q1) ([0, 0, -l1] + Ry(q2) [0, 0, -l2]))
 
-in the trunk's frame, where side is -1 on the right and +1 on the left.
+in the trunk frame, where side is -1 on the right and +1 on the left.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class Legs:
     """The kinematics of four legs.
 
     Args:
-        kinematics: Lengths and offsets of one leg, metres.
+        kinematics: Lengths and offsets of one leg, m.
     """
 
     def __init__(self, kinematics: LegKinematics):
@@ -29,47 +29,54 @@ class Legs:
         self._hip = torch.stack(hip, 1)
 
     def points(self, joints: Tensor, along_thigh: Tensor, along_calf: Tensor) -> tuple[Tensor, Tensor]:
-        """Points on the thighs' and the calves' axes in the trunk's frame.
+        """Compute points on the axes of thighs and calves in the trunk frame.
 
         Args:
-            joints: Joint angles ``[..., 12]``, radians.
-            along_thigh: Fractions of the thigh from the hip (0) to the knee (1), ``[P]``.
-            along_calf: Fractions of the calf from the knee (0) to the foot's centre (1), ``[Q]``.
+            joints: ``[..., 12]`` joint angles, rad.
+            along_thigh: ``[P]`` fractions of the thigh from the hip (0) to the knee (1).
+            along_calf: ``[Q]`` fractions of the calf from the knee (0) to the foot's center (1).
 
         Returns:
-            ``[..., 4, P, 3]`` and ``[..., 4, Q, 3]``, metres.
+            ``[..., 4, P, 3]`` m on the thighs, and ``[..., 4, Q, 3]`` m on the calves.
         """
         k = self.kinematics
         q0, q1, q2 = joints.unflatten(-1, (4, 3)).unsqueeze(-2).unbind(-1)
         c0, s0 = torch.cos(q0), torch.sin(q0)
         side = (self._side * k.thigh_y).unsqueeze(-1)
 
-        def place(x: Tensor, z: Tensor) -> Tensor:
+        def in_trunk_frame(x: Tensor, z: Tensor) -> Tensor:
             y = side * c0 - s0 * z
             return torch.stack((x, y, side * s0 + c0 * z), -1) + self._hip.unsqueeze(-2)
 
         thigh = along_thigh * k.thigh_length
         calf = along_calf * k.calf_length
         knee_x, knee_z = -torch.sin(q1) * k.thigh_length, -torch.cos(q1) * k.thigh_length
-        thighs = place(-torch.sin(q1) * thigh, -torch.cos(q1) * thigh)
-        calves = place(knee_x - torch.sin(q1 + q2) * calf, knee_z - torch.cos(q1 + q2) * calf)
+        thighs = in_trunk_frame(-torch.sin(q1) * thigh, -torch.cos(q1) * thigh)
+        calves = in_trunk_frame(knee_x - torch.sin(q1 + q2) * calf, knee_z - torch.cos(q1 + q2) * calf)
         return thighs, calves
 
     def feet(self, joints: Tensor) -> Tensor:
-        """Centres of the feet in the trunk's frame, ``[..., 12]`` radians to ``[..., 4, 3]`` metres."""
+        """Compute the centers of the feet in the trunk frame (forward kinematics).
+
+        Args:
+            joints: ``[..., 12]`` joint angles, rad.
+
+        Returns:
+            ``[..., 4, 3]`` m.
+        """
         end = torch.ones(1)
         return self.points(joints, end, end)[1].squeeze(-2)
 
     def joints(self, feet: Tensor) -> Tensor:
-        """Joint angles that put the feet's centres at the given places (knees bent backwards).
+        """Compute the joint angles for given centers of the feet (inverse kinematics), with knees bent backward.
 
-        A place out of reach is approached as far as the leg goes.
+        For a point out of reach, the leg is stretched toward it.
 
         Args:
-            feet: ``[..., 4, 3]`` in the trunk's frame, metres.
+            feet: ``[..., 4, 3]`` in the trunk frame, m.
 
         Returns:
-            ``[..., 12]`` radians.
+            ``[..., 12]`` joint angles, rad.
         """
         k = self.kinematics
         x, y, z = (feet - self._hip).unbind(-1)

@@ -1,7 +1,7 @@
-"""The task's mathematics, once: what an action does to an episode, and what is seen, earned and ended.
+"""The Markov decision process of the task: targets, observations, rewards, terminations and success.
 
-`Mdp` is used on a batch by `skatemount.envs.mount_env.MountEnv` and on a batch of one by
-`skatemount.envs.task.MountTask`; it touches no engine.
+`Mdp` works on a batch of any size and uses no engine. `skatemount.envs.mount_env.MountEnv` gives it a batch of worlds,
+and `skatemount.envs.task.MountTask` a batch of one.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from skatemount.envs.terms import TaskContext
 
 @dataclass
 class StepResult:
-    """What a control step led to.
+    """The result of a control step.
 
     Attributes:
-        reward: ``[N]``.
-        reward_terms: ``[terms, N]``, every reward term's weighed share.
-        termination_flags: ``[terminations, N]`` bool.
-        terminated: ``[N]`` bool, ended by a termination.
-        truncated: ``[N]`` bool, ended by the time limit alone, or by having stood long max_mounted_time.
-        succeeded: ``[N]`` bool, truncated, and achieved what the task asks for.
+        reward: ``[N]``, the sum of the reward terms.
+        reward_terms: ``[terms, N]``, the weighted reward terms.
+        termination_flags: ``[terminations, N]`` bool; `Mdp.termination_names` names the rows.
+        terminated: ``[N]`` bool, a termination ended the episode.
+        truncated: ``[N]`` bool, no termination, but the time limit or `Mdp.max_mounted_time` ended the episode.
+        succeeded: ``[N]`` bool, the episode was truncated and meets the task's success criterion.
     """
 
     reward: Tensor
@@ -46,7 +46,7 @@ class StepResult:
 
 
 class Mdp:
-    """Observations, rewards, terminations and the history they need.
+    """Observations, rewards and terminations of a task, and the updates of the episodes that they need.
 
     Args:
         config: Settings of the task.
@@ -54,37 +54,44 @@ class Mdp:
         generator: Source of commands and observation noise.
 
     Attributes:
-        context: Constants.
-        device: Where states are expected: that of the generator.
-        criterion: What an episode must achieve, a name of `skatemount.envs.success.ACHIEVED`.
-        observation: What the policy sees.
-        privileged: What only the critic sees besides.
+        context: Constants of the task.
+        device: Device of the states, that of the generator.
+        criterion: Name of the success criterion, a key of `skatemount.envs.success.ACHIEVED`.
+        observation: Observation of the policy.
+        privileged: Observation that only the critic gets, in addition to the policy's.
         rewards: Reward terms.
         terminations: Termination terms.
-        max_mounted_time: Seconds of standing on the board after which an episode ends as at its time limit.
+        max_mounted_time: Time that the robot has been mounted after which an episode is truncated, s; infinite if the
+            time limit is the only one.
+
+    Raises:
+        ConfigError: A setting of a term cannot be used.
     """
 
     def __init__(self, config: TaskConfig, scene: Scene, generator: torch.Generator):
         self.generator, self.device = generator, generator.device
-        robot, seen = scene.robot, config.observation
-        # What is made of numbers is made where it is going to be used.
+        robot, tables = scene.robot, config.observation
+        # Constants are created on the device of the states.
         with self.device:
             self.context = TaskContext.of(scene, config.episode_length)
-            self.observation = ObservationTable(seen.policy, self.context, "observation.policy", seen.history_length)
-            self.privileged = ObservationTable(seen.privileged, self.context, "observation.privileged")
+            self.observation = ObservationTable(
+                tables.policy, self.context, "observation.policy", tables.history_length
+            )
+            self.privileged = ObservationTable(tables.privileged, self.context, "observation.privileged")
             self.rewards = RewardTable(config.reward, self.context)
             self.terminations = TerminationTable(config.termination, self.context)
             self._scale = torch.as_tensor(robot.action_scale, dtype=torch.float32)
         self._command_generator = CommandGenerator(config.command, self.context.control_step, generator)
-        self._fade = math.exp(-self.context.control_step / 0.35)
+        # The time constant of `EpisodeState.soft_success` is 0.35 s.
+        self._soft_success_decay = math.exp(-self.context.control_step / 0.35)
         self.criterion = config.success
         self.max_mounted_time = math.inf
-        self._succeeded = success.ACHIEVED[config.success]
-        self._noise = generator if seen.noise else None
-        self._clip = robot.config.action_clip
+        self._is_success = success.ACHIEVED[config.success]
+        self._noise = generator if tables.noise else None
+        self._action_clip = robot.config.action_clip
 
     def targets(self, action: Tensor) -> Tensor:
-        """Joint position targets of actions.
+        """Convert actions to joint position targets.
 
         Args:
             action: ``[N, 12]``.
@@ -92,14 +99,14 @@ class Mdp:
         Returns:
             ``[N, 12]`` rad: default pose + scale x clipped action.
         """
-        return self.context.default_pose + self._scale * action.clamp(-self._clip, self._clip)
+        return self.context.default_pose + self._scale * action.clamp(-self._action_clip, self._action_clip)
 
     def begin(self, sim: SimState, bins: Tensor | None = None) -> EpisodeState:
-        """New episodes.
+        """Begin new episodes.
 
         Args:
-            sim: The start states, ``[N]``.
-            bins: ``[N]`` int64, the parts of a curriculum that they come from.
+            sim: ``[N]`` start states.
+            bins: ``[N]`` int64, the curriculum bins of the start states; -1 for none. All -1 if None.
 
         Returns:
             ``[N]`` episodes at their start.
@@ -112,40 +119,40 @@ class Mdp:
         fresh.on_deck = on_deck
         fresh.board_direction = board_direction(sim.board_rot_base)
         fresh.off_time = torch.where(on_deck, 0.0, torch.inf)
-        elsewhere = success.feet_elsewhere(sim)
-        fresh.touching, fresh.foot_off_deck_contact = on_deck | elsewhere, elsewhere.any(1)
+        off_deck = success.feet_off_deck_contact(sim)
+        fresh.touching, fresh.foot_off_deck_contact = on_deck | off_deck, off_deck.any(1)
         fresh.distance, fresh.previous_distance = distance, distance.clone()
         fresh.first_contact = torch.where(on_deck.any(1), 0.0, torch.inf)
-        relative = sim.board_rot.transpose(-1, -2)
-        place = (relative @ (sim.base_pos - sim.board_pos).unsqueeze(-1)).squeeze(-1)
-        heading = (relative @ sim.base_rot[..., :1]).squeeze(-1)
-        fresh.start = torch.cat((place[:, :2], torch.atan2(heading[:, 1:2], heading[:, :1])), 1)
+        to_board = sim.board_rot.transpose(-1, -2)
+        position = (to_board @ (sim.base_pos - sim.board_pos).unsqueeze(-1)).squeeze(-1)
+        heading = (to_board @ sim.base_rot[..., :1]).squeeze(-1)
+        fresh.start = torch.cat((position[:, :2], torch.atan2(heading[:, 1:2], heading[:, :1])), 1)
         self._command_generator.update(sim, fresh)
-        fresh.seen = self.observation(sim, fresh, self._noise)
+        fresh.observation = self.observation(sim, fresh, self._noise)
         return fresh
 
     def advance(self, sim: SimState, episode: EpisodeState, action: Tensor, diverged: Tensor) -> StepResult:
-        """Account for a control step, in place.
+        """Update the episodes by a control step, in place.
 
         Args:
             sim: The state after the step.
-            episode: The episodes before it; brought up to date.
-            action: ``[N, 12]``, the step's actions.
+            episode: The episodes before the step; updated in place.
+            action: ``[N, 12]``, the actions of the step.
             diverged: ``[N]`` bool, worlds whose physics failed.
 
         Returns:
-            What the step led to.
+            Rewards, and the episodes that ended.
         """
         step = self.context.control_step
         episode.step = episode.step + 1
         episode.previous_action = episode.action
-        episode.action = action.clamp(-self._clip, self._clip)
+        episode.action = action.clamp(-self._action_clip, self._action_clip)
         episode.previous_distance = episode.distance
         episode.distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
         on_deck = success.feet_on_deck(sim)
-        elsewhere = success.feet_elsewhere(sim)
-        touching = on_deck | elsewhere
-        episode.foot_off_deck_contact = elsewhere.any(1)
+        off_deck = success.feet_off_deck_contact(sim)
+        touching = on_deck | off_deck
+        episode.foot_off_deck_contact = off_deck.any(1)
         episode.touchdown = touching & ~episode.touching
         episode.touching = touching
         episode.on_deck = on_deck
@@ -158,7 +165,7 @@ class Mdp:
         near = success.nearly_mounted(
             sim, episode.foot_off_deck_contact, self.context.deck_half, self.context.foot_radius
         )
-        episode.soft_success = torch.lerp(near, episode.soft_success, self._fade)
+        episode.soft_success = torch.lerp(near, episode.soft_success, self._soft_success_decay)
         episode.mounted_time = torch.where(episode.mounted, episode.mounted_time + step, 0.0)
         elapsed = torch.where(on_deck.any(1), episode.step * step, math.inf)
         episode.first_contact = torch.minimum(episode.first_contact, elapsed)
@@ -169,25 +176,25 @@ class Mdp:
         over = (episode.step >= self.context.episode_steps) | (episode.mounted_time >= self.max_mounted_time - step / 2)
         truncated = over & ~terminated
         reward_terms = self.rewards(sim, episode)
-        # What a failed world shows means nothing; one number that is not finite would spoil the whole batch.
+        # The values of a diverged world mean nothing, and one that is not finite would spoil the whole batch.
         reward_terms = torch.where(diverged, 0.0, reward_terms)
         self._command_generator.update(sim, episode)
-        episode.seen = self.observation(sim, episode, self._noise, episode.seen)
-        succeeded = truncated & self._succeeded(episode, step)
+        episode.observation = self.observation(sim, episode, self._noise, episode.observation)
+        succeeded = truncated & self._is_success(episode, step)
         return StepResult(reward_terms.sum(0), reward_terms, termination_flags, terminated, truncated, succeeded)
 
-    def end_names(self) -> list[str]:
-        """Names of the rows of `StepResult.termination_flags`."""
+    def termination_names(self) -> list[str]:
+        """Return the names of the rows of `StepResult.termination_flags`."""
         return [*self.terminations.names, "diverged"]
 
     def observe(self, sim: SimState, episode: EpisodeState) -> tuple[Tensor, Tensor]:
-        """What policy and critic see.
+        """Return the present observations.
 
         Args:
             sim: The state.
             episode: The episodes.
 
         Returns:
-            ``[N, observation.size]``, with noise if it is on, and ``[N, privileged.size]``.
+            The policy's, ``[N, observation.size]``, with noise if it is on, and the critic's, ``[N, privileged.size]``.
         """
-        return episode.seen, self.privileged(sim, episode)
+        return episode.observation, self.privileged(sim, episode)

@@ -1,7 +1,7 @@
 """The left-right mirror image of observations and actions, as a permutation and signs.
 
-The robot and the board are symmetric about the trunk's xz plane: under y -> -y polar vectors change the sign of y,
-axial vectors (angular velocities) that of x and z, right legs become left legs, and hip angles change sign.
+Robot and board are symmetric about the trunk's xz plane. Under y -> -y, polar vectors change the sign of y, axial
+vectors (angular velocities) change the signs of x and z, right legs become left legs, and hip angles change sign.
 """
 
 from __future__ import annotations
@@ -19,16 +19,19 @@ def _legs(per_leg: int) -> Tensor:
 
 
 def mirror_map(kind: str, size: int) -> tuple[Tensor, Tensor]:
-    """Permutation and signs of one block: ``mirrored = x[:, permutation] * signs``.
+    """Return the permutation and signs of one block: ``mirrored = x[:, permutation] * signs``.
 
     Args:
         kind: ``vector`` (polar vectors), ``axial``, ``vector_axial``, ``command`` (vx, vy, wz), ``joints``, ``feet``,
-            ``flags`` (one value a foot), ``flags_twice``, ``bodies`` (trunk, then hip, thigh, calf a leg), ``outline``
-            (points around the deck from the middle of its front), ``negative`` or ``scalars``.
-        size: Values in the block.
+            ``flags`` (one value per foot), ``flags_twice``, ``bodies`` (trunk, then hip, thigh and calf of each leg),
+            ``outline`` (points around the deck from the middle of its front), ``negative`` or ``scalars``.
+        size: Number of values in the block.
 
     Returns:
-        ``[size]`` int64 and ``[size]`` float32.
+        The permutation, ``[size]`` int64, and the signs, ``[size]`` float32.
+
+    Raises:
+        ValueError: The kind is unknown.
     """
     same, ones = torch.arange(size), torch.ones(size)
     if kind == "vector":

@@ -1,4 +1,4 @@
-"""`MountEnv`: a batch of worlds behind TorchRL's `EnvBase`."""
+"""`MountEnv`: a batch of worlds as a TorchRL environment."""
 
 from __future__ import annotations
 
@@ -22,38 +22,45 @@ from skatemount.envs.task import MountTask
 from skatemount.utils.devices import torch_threads
 
 Listener = Callable[[EpisodeState, StepResult, Tensor], None]
+"""A function that gets the episodes after a step, the result of the step, and ``[N]`` bool: the episodes that ended."""
 
 MANY_WORLDS = 4096
-"""With fewer, it takes longer to wake torch's threads for a step's small operations than they save."""
+"""Number of worlds from which torch's threads pay off: with fewer, waking them costs more than they save."""
 
 
 class MountEnv(EnvBase):
-    """N worlds of a `MountTask`, stepped together.
+    """N worlds of a `MountTask` that are stepped together.
 
         env = MountEnv(MountTask(stage="unfixed"), num_worlds=512)
         env.rollout(100, break_when_any_done=False)
 
-    Keys: ``observation`` ``[N, D]``, the actor's; ``privileged`` ``[N, P]``, what the critic sees besides; ``action``
-    ``[N, 12]``, joint position targets around the default pose, in units of the action scale, clipped; ``success``
-    ``[N, 1]``, true in the last step of an episode that succeeded; ``reward``, ``done``, ``terminated`` and
-    ``truncated`` ``[N, 1]``. A reset may choose worlds by ``_reset``; a step's ``next`` entry keeps the true last
-    observation of an episode.
+    Its keys are:
+
+    - ``observation``, ``[N, D]``: the actor's observation.
+    - ``privileged``, ``[N, P]``: the values that only the critic gets in addition.
+    - ``action``, ``[N, 12]``: joint position targets relative to the default pose, in units of the action scale,
+      clipped.
+    - ``success``, ``[N, 1]``: true in the last step of an episode that succeeded.
+    - ``reward``, ``done``, ``terminated`` and ``truncated``, ``[N, 1]``.
+
+    A mask under ``_reset`` chooses the worlds of a reset. The ``next`` entry of a step holds the last observation of an
+    episode that ended, not the first one of the next episode.
 
     Args:
         task: The task.
-        num_worlds: Worlds stepped together; the task's setting ``physics.num_worlds`` if none.
-        threads: Physics threads; the task's setting if none, every core if 0.
-        seed: Source of every random number; results do not depend on the number of threads.
-        random_phase: Let the first episodes start at random phases, so that they do not all end at once.
-        max_mounted_time: End an episode, as at its time limit, once the robot has stood on the board for so many
-            seconds; none to let it stand.
+        num_worlds: Number of worlds; ``physics.num_worlds`` of the task if None.
+        threads: Number of physics threads; ``physics.threads`` of the task if None, every core if 0.
+        seed: Seed of all random numbers. Results do not depend on the number of threads.
+        random_phase: True if the first episodes begin at random times of their length, so that they do not all end in
+            the same step.
+        max_mounted_time: Time that the robot has been mounted after which an episode is truncated, s; no such limit if
+            None.
 
     Attributes:
         task: The task.
         physics: The engine.
-        statistics: What happened in the episodes that ended.
-        listeners: Called after every step with the episodes, what the step led to, and which episodes it ended. They
-            copy what they keep of the episodes.
+        statistics: Statistics of the episodes that ended.
+        listeners: Functions that are called after every step. They must copy the parts of the episodes that they keep.
     """
 
     def __init__(
@@ -77,8 +84,8 @@ class MountEnv(EnvBase):
             self.mdp.max_mounted_time = max_mounted_time
         self.statistics = EpisodeStatistics(self.mdp, n)
         self.listeners: list[Listener] = [self.statistics.add]
-        self._place: StartPoseSampler | None = None
-        self._change: StartTransform | None = None
+        self._sample_poses: StartPoseSampler | None = None
+        self._transform_starts: StartTransform | None = None
         self._sim: SimState | None = None
         self._substeps = config.substeps
         self._random_phase = random_phase
@@ -88,21 +95,21 @@ class MountEnv(EnvBase):
 
     @property
     def num_worlds(self) -> int:
-        """Worlds stepped together."""
+        """Number of worlds."""
         return self.batch_size[0]
 
     @property
     def sim(self) -> SimState:
-        """The present state of every world; copy what is to be changed in place or differentiated."""
+        """The present state of every world; copy a tensor before you change it in place or differentiate it."""
         if self._sim is None:
             self._sim = self.physics.state()
         return self._sim
 
     @property
     def episode(self) -> EpisodeState:
-        """The present episode of every world; at a step that is done, the one that ends there.
+        """The present episode of every world; after a step that is done, the episode that ended.
 
-        Copy what is to be kept, changed in place or differentiated.
+        Copy a tensor before you keep it, change it in place or differentiate it.
         """
         return self._episode
 
@@ -123,7 +130,7 @@ class MountEnv(EnvBase):
         return Binary(n=1, shape=(n, 1), dtype=torch.bool, device=self.device)
 
     def _set_seed(self, seed: int | None) -> None:
-        """Begin anew from a seed: randomised physics, queued starts, pushes and noise alike."""
+        """Draw everything random again from a seed: physics, start states, pushes and noise."""
         self.generator.manual_seed(0 if seed is None else int(seed))
         config, n = self.task.config, self.num_worlds
         self._rebuild_start_queue()
@@ -139,31 +146,42 @@ class MountEnv(EnvBase):
         mask = torch.ones(self.num_worlds, dtype=torch.bool, device=self.device)
         if tensordict is not None and "_reset" in tensordict.keys():
             mask = tensordict["_reset"].reshape(self.num_worlds)
-        rows, seen = self._restart(mask)
-        # Nobody looks at the rows of worlds that go on.
-        values = {key: v.new_zeros(self.num_worlds, v.shape[1]).index_copy_(0, rows, v) for key, v in seen.items()}
+        rows, first = self._restart(mask)
+        # TorchRL ignores the rows of worlds that are not reset.
+        values = {key: v.new_zeros(self.num_worlds, v.shape[1]).index_copy_(0, rows, v) for key, v in first.items()}
         values["success"] = torch.zeros_like(mask).unsqueeze(1)
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Begin new episodes where the last step ended one.
+        """Begin new episodes in the worlds whose episode ended.
 
-        What `EnvBase` does in general, for this environment's keys alone: it is done at nearly every step.
+        This does the same as `EnvBase.maybe_reset`, but knows the keys of this environment and so takes less time. With
+        many worlds it happens in nearly every step.
 
         Args:
-            tensordict: What `torchrl.envs.utils.step_mdp` makes of a step; brought up to date.
+            tensordict: The result of `torchrl.envs.utils.step_mdp`; updated in place.
+
+        Returns:
+            The same tensordict.
         """
         done = tensordict["done"]
         if done.any():
-            rows, seen = self._restart(done.squeeze(1))
-            for key, value in seen.items():
+            rows, first = self._restart(done.squeeze(1))
+            for key, value in first.items():
                 tensordict[key] = tensordict[key].index_copy(0, rows, value)
             for key in ("done", "terminated", "truncated", "success"):
                 tensordict[key] = torch.zeros_like(done)
         return tensordict
 
     def _restart(self, mask: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        """Start new episodes in the worlds of a mask; their rows and what is seen there."""
+        """Begin new episodes in the worlds of a mask.
+
+        Args:
+            mask: ``[N]`` bool.
+
+        Returns:
+            ``[K]`` int64, the chosen worlds, and their first observations by key.
+        """
         with torch_threads(self._torch_threads):
             rows = mask.nonzero().squeeze(1)
             return rows, self._begin(mask, rows, self._queue.take(len(rows)))
@@ -180,56 +198,65 @@ class MountEnv(EnvBase):
             if self._random_phase and not self._begun:
                 most, here = self.mdp.context.episode_steps, self.device
                 begun.step = torch.randint(most, (len(rows),), generator=self.generator, device=here)
-                # How an episode ends that began in the middle says nothing of the start that it would have had.
+                # These episodes are cut short, so their success says nothing about their start states.
                 begun.bin = torch.full_like(begun.bin, -1)
-                self.statistics.leave_out()
+                self.statistics.exclude_running()
             self._begun = True
-            self._episode[rows] = begun  # type: ignore[index]  # Mypy does not see tensorclass's own.
+            self._episode[rows] = begun  # type: ignore[index]  # Mypy does not know tensorclass's method.
             self._sim = None
             return self._observe(sim, begun)
 
-    def set_start_sampler(self, place: StartPoseSampler) -> None:
-        """Let a curriculum choose where starts are, from the next start that is drawn on.
+    def set_start_sampler(self, sample_poses: StartPoseSampler) -> None:
+        """Draw the poses of all start states from now on with a function, such as a curriculum's.
+
+        Start states are drawn ahead, so call this again whenever the distribution of the function changes.
 
         Args:
-            place: Draws places; what it does not say follows the task's start settings. Call again when its choice
-                changes, as starts are drawn ahead.
+            sample_poses: Draws the poses. Everything else follows the start settings of the task.
         """
-        self._place = place
+        self._sample_poses = sample_poses
         self._rebuild_start_queue()
 
-    def set_start_transform(self, change: StartTransform) -> None:
-        """Let something make other starts of those that are drawn, from the next one that is drawn on.
+    def set_start_transform(self, transform: StartTransform) -> None:
+        """Apply a transform to all start states that are drawn from now on.
 
         Args:
-            change: Takes and returns starts.
+            transform: Takes a batch of start states and returns one of the same size.
         """
-        self._change = change
+        self._transform_starts = transform
         self._rebuild_start_queue()
 
     def _rebuild_start_queue(self) -> None:
-        sampler = self.task.make_sampler(self._place, self.device)
-        self._queue = StartQueue(sampler, max(self.num_worlds, 1024), self.generator, self._change)
+        sampler = self.task.make_sampler(self._sample_poses, self.device)
+        self._queue = StartQueue(sampler, max(self.num_worlds, 1024), self.generator, self._transform_starts)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         with torch_threads(self._torch_threads):
-            # Several hundred small operations, which start sooner without what autograd keeps of each.
+            # A step is several hundred small operations, which take less time to launch without autograd.
             with torch.inference_mode():
-                outcome, seen, failed = self._advance(tensordict["action"])
+                outcome, observations, failed = self._advance(tensordict["action"])
             done = outcome.terminated | outcome.truncated
             for listener in self.listeners:
                 listener(self._episode, outcome, done)
-            # From here on, copies that anybody may change and differentiate.
-            # What a failed world shows may be of any size, and would stay in the running means of the networks.
-            values = {key: value.index_fill(0, failed, 0.0) for key, value in seen.items()}
+            # The results are copies outside of inference mode, which callers may change and differentiate. Observations
+            # of a failed world may be of any size and would spoil the running means of the networks.
+            values = {key: value.index_fill(0, failed, 0.0) for key, value in observations.items()}
             flags = {"done": done, "terminated": outcome.terminated, "truncated": outcome.truncated}
             for key, value in {"success": outcome.succeeded, "reward": outcome.reward, **flags}.items():
                 values[key] = value.clone().unsqueeze(1)
-            # Without a device, `EnvBase` would copy all of it once more.
+            # The device is set because `EnvBase` would copy all tensors again without it.
             return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
     def _advance(self, action: Tensor) -> tuple[StepResult, dict[str, Tensor], Tensor]:
-        """One control step: what it led to, what is seen then, and the rows of the worlds whose physics failed."""
+        """Simulate a control step.
+
+        Args:
+            action: ``[N, 12]``.
+
+        Returns:
+            The result of the step, the observations after it by key, and ``[K]`` int64, the worlds whose physics
+            failed.
+        """
         if self._pushes.active:
             self.physics.push(*self._pushes.due())
         self.physics.step(self.mdp.targets(action), self._substeps)

@@ -1,4 +1,4 @@
-"""Randomisation of the physics, world by world, and pushes."""
+"""Randomized physics for each world, and random pushes."""
 
 from __future__ import annotations
 
@@ -14,26 +14,29 @@ from skatemount.envs.entities.a1 import scale_gains
 from skatemount.envs.sampling import uniform
 from skatemount.envs.scene import SceneIndex
 
+_FACTOR_1 = [1.0, 1.0]
+_NOTHING_ADDED = [0.0, 0.0]
+
 
 class ModelFields(Protocol):
-    """Something with a value of a model field for each world."""
+    """Worlds with model fields of their own."""
 
     def field(self, name: str) -> Tensor:
-        """``[N, ...]`` values of a field; writes change the worlds."""
+        """Return the ``[N, ...]`` values of a field; writes change the worlds."""
         ...
 
     def refresh_constants(self) -> None:
-        """Recompute what the model derives from masses and inertias."""
+        """Recompute the model constants that depend on masses and inertias."""
         ...
 
 
 class Randomizer:
-    """Draws and applies randomised physics.
+    """Draws randomized physics and writes it to the worlds.
 
     Args:
-        config: Ranges.
-        index: Names to ids of the scene.
-        model: The scene's model as compiled, for the nominal values.
+        config: Ranges of the random values.
+        index: Ids of the scene.
+        model: The compiled scene with the nominal values.
         generator: Source of randomness.
     """
 
@@ -47,31 +50,31 @@ class Randomizer:
         self._generator = generator
 
     def _uniform(self, bounds: list[float], of: Tensor, *shape: int) -> Tensor:
-        """``[N, *shape]`` random numbers, one set for each row of a field."""
+        """Draw ``[N, *shape]`` uniform random numbers, one set for each row of a field."""
         return uniform((len(of), *shape), self._generator, bounds, torch.float64).to(of.dtype)
 
     def _field(self, physics: ModelFields, name: str) -> tuple[Tensor, Tensor]:
-        """A field of every world, and its nominal value as a batch of one."""
+        """Return a field of every world, ``[N, ...]``, and its nominal value, ``[1, ...]``."""
         values = physics.field(name)
         return values, torch.from_numpy(getattr(self._model, name)).unsqueeze(0).to(values)
 
     def build_worlds(self, physics: ModelFields) -> None:
-        """Draw what is drawn once a world: friction, masses, inertias, bushings.
+        """Draw the values that a world keeps: friction, masses, inertias and the stiffness of the trucks.
 
         Args:
             physics: The worlds.
         """
         c, index = self.config, self._index
-        if c.friction != [1.0, 1.0]:
+        if c.friction != _FACTOR_1:
             friction, nominal = self._field(physics, "geom_friction")
             geoms = index.touched_geoms
             friction[:, geoms, 0] = nominal[:, geoms, 0] * self._uniform(c.friction, friction, 1)
-        if c.truck_stiffness != [1.0, 1.0]:
+        if c.truck_stiffness != _FACTOR_1:
             stiffness, nominal = self._field(physics, "jnt_stiffness")
             trucks = index.truck_joints
             stiffness[:, trucks] = nominal[:, trucks] * self._uniform(c.truck_stiffness, stiffness, 1)
         changed = False
-        if c.trunk_mass != [0.0, 0.0] or c.board_mass != [1.0, 1.0]:
+        if c.trunk_mass != _NOTHING_ADDED or c.board_mass != _FACTOR_1:
             mass, nominal = self._field(physics, "body_mass")
             board = self._uniform(c.board_mass, mass)
             trunk, deck = index.trunk_body, index.board_body
@@ -80,13 +83,13 @@ class Randomizer:
             inertia, nominal_inertia = self._field(physics, "body_inertia")
             inertia[:, deck] = nominal_inertia[:, deck] * board.unsqueeze(-1)
             changed = True
-        if c.inertia != [1.0, 1.0]:
+        if c.inertia != _FACTOR_1:
             inertia, nominal = self._field(physics, "body_inertia")
             bodies = index.robot_bodies
             factor = self._uniform(c.inertia, inertia, len(bodies), 1)
             inertia[:, bodies] = nominal[:, bodies] * factor
             changed = True
-        if c.trunk_com != [0.0, 0.0]:
+        if c.trunk_com != _NOTHING_ADDED:
             com, nominal = self._field(physics, "body_ipos")
             trunk = index.trunk_body
             com[:, trunk] = nominal[:, trunk] + self._uniform(c.trunk_com, com, 3)
@@ -95,14 +98,14 @@ class Randomizer:
             physics.refresh_constants()
 
     def new_episodes(self, physics: ModelFields, rows: Tensor) -> None:
-        """Draw what is drawn at each reset: gains.
+        """Draw the values that change with each episode: the gains of the motors.
 
         Args:
             physics: The worlds.
-            rows: ``[K]`` int64, the worlds that start anew.
+            rows: ``[K]`` int64, the worlds that are reset.
         """
         c = self.config
-        if c.kp == [1.0, 1.0] and c.kd == [1.0, 1.0]:
+        if c.kp == _FACTOR_1 and c.kd == _FACTOR_1:
             return
         gain, nominal = self._field(physics, "actuator_gainprm")
         nominal = nominal.expand(len(rows), -1, -1)
@@ -114,9 +117,9 @@ class Pushes:
     """Sudden changes of the trunk's velocity at random intervals.
 
     Args:
-        config: Ranges.
+        config: Ranges of intervals and velocities.
         num_worlds: Number of worlds.
-        control_step: Seconds between two actions.
+        control_step: Time between two actions, s.
         generator: Source of randomness.
     """
 
@@ -124,12 +127,12 @@ class Pushes:
         self.config = config
         self._step = control_step
         self._generator = generator
-        self._left = self._intervals(num_worlds)
+        self._time_left = self._intervals(num_worlds)
 
     @property
     def active(self) -> bool:
-        """Whether there are any."""
-        return self.config.push_interval is not None and self.config.push_velocity != [0.0, 0.0]
+        """Whether the settings ask for pushes."""
+        return self.config.push_interval is not None and self.config.push_velocity != _NOTHING_ADDED
 
     def _intervals(self, n: int) -> Tensor:
         return uniform((n,), self._generator, self.config.push_interval or (1e9, 1e9))
@@ -138,16 +141,20 @@ class Pushes:
         """Advance by a control step.
 
         Returns:
-            ``[N]`` bool, the worlds to push now, and ``[N, 3]`` what to add to the trunk's velocity, world, m/s.
+            ``[N]`` bool, the worlds to push now, and ``[N, 3]``, the change of the trunk's velocity, world axes, m/s.
         """
-        n = len(self._left)
-        self._left -= self._step
-        due = self._left <= 0
-        self._left = torch.where(due, self._intervals(n), self._left)
+        n = len(self._time_left)
+        self._time_left -= self._step
+        due = self._time_left <= 0
+        self._time_left = torch.where(due, self._intervals(n), self._time_left)
         velocity = uniform((n, 3), self._generator, self.config.push_velocity)
         velocity[:, 2] = 0.0
         return due, velocity
 
     def restart(self, mask: Tensor) -> None:
-        """Draw new intervals for the worlds of the mask, ``[N]`` bool."""
-        self._left = torch.where(mask, self._intervals(len(mask)), self._left)
+        """Draw new intervals for the worlds that are reset.
+
+        Args:
+            mask: ``[N]`` bool.
+        """
+        self._time_left = torch.where(mask, self._intervals(len(mask)), self._time_left)

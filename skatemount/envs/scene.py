@@ -1,7 +1,7 @@
-"""The scene: robot, board and arena in one model, and where its sensors put what a `SimState` needs.
+"""The scene: robot, board and arena in one model, and the layout of its sensor array.
 
-The model is authored once, with composer entities. Everything the task reads comes from the model's sensors (one
-contiguous array in every engine) and from the joint accelerations; `SceneIndex` names the slices.
+The model is built once from composer entities. The task reads its state from the model's sensors, which are one
+contiguous array in every engine, and from the joint accelerations. `SceneIndex` holds the slices of that array.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Scene:
         self.robot_frame = self.arena.add_free_entity(self.robot)
         self.board_frame = self.arena.add_free_entity(self.board)
         self.board_frame.pos = (0.0, 0.0, self.board.config.deck_height)
-        # Away from the board, so that the model's own start state is a sound one too.
+        # Away from the board, so that nothing collides in the model's own start state.
         self.robot_frame.pos = (0.0, 1.0, 0.4)
         root = self.arena.mjcf_model
         self.weld = root.equality.add(
@@ -54,7 +54,7 @@ class Scene:
             solimp=WELD_SOLIMP,
             active=True,
         )
-        # For contacts and constraints; the CPU engine reserves it once a world.
+        # Memory for contacts and constraints, which the CPU engine reserves for each world.
         root.size.memory = "1M"
         self._set_options(root)
         self._add_cameras()
@@ -62,14 +62,15 @@ class Scene:
 
     @property
     def deck_height(self) -> float:
-        """Height of the deck's top above the floor at rest, metres."""
+        """Height of the deck's top above the floor at rest, m."""
         return self.board.config.deck_height
 
     def compile(self, visuals: bool = True) -> mujoco.MjModel:
         """Compile the scene.
 
         Args:
-            visuals: Keep what is only to be seen. Without it a step costs about a fifth less and computes the same.
+            visuals: Keep geoms, materials and textures that are only drawn. Without them a step takes about a fifth
+                less time and computes the same.
 
         Returns:
             A model that owns its memory.
@@ -80,7 +81,7 @@ class Scene:
             physics = mjcf.Physics.from_mjcf_model(root)
         finally:
             root.compiler.discardvisual = False
-        # The physics object frees its model when it is collected.
+        # A copy, because the physics object frees its model when it is collected.
         return copy.copy(physics.model.ptr)
 
     def _set_options(self, root: mjcf.RootElement) -> None:
@@ -126,7 +127,7 @@ class Scene:
             add("jointvel", f"joint_vel_{i}", joint=joint)
         for i, joint in enumerate(robot.joints):
             add("jointactuatorfrc", f"joint_torque_{i}", joint=joint)
-        # What the engine turns into a frame need not be turned for every world afterwards.
+        # The engine rotates these into their frames, which is cheaper than torch operations on all worlds.
         in_base = dict(reftype="site", refname=robot.imu)
         in_board = dict(reftype="site", refname=board.deck_site)
         for kind, name, reference in (
@@ -160,30 +161,27 @@ class Scene:
 
 @dataclass(frozen=True)
 class SceneIndex:
-    """Names to ids and slices, for one compiled scene.
+    """Ids and slices of one compiled scene.
 
     Attributes:
-        sensors: Slice of the sensor array and shape a world, by `SimState` field or what it is made of.
-        bodies: Robot body of each row of ``body_force``, as an index into `body_names`.
-        body_names: Robot bodies other than the feet.
+        sensors: Slice of the sensor array, and shape per world, by the name of the `SimState` field or of its source.
         joint_qpos: Addresses of the 12 joints in ``qpos``.
         joint_dof: Addresses of the 12 joints in ``qvel``.
-        actuators: Actuator ids in joint order.
-        base_qpos: Slice of the robot's free joint in ``qpos``; ``base_dof`` in ``qvel``.
-        robot_body: Body id of the robot's free frame; ``trunk_body`` has the trunk's mass.
+        actuators: Actuator ids in the order of the joints.
+        base_qpos: Slice of the robot's free joint in ``qpos``.
+        base_dof: Slice of the robot's free joint in ``qvel``.
+        robot_body: Body id of the robot's free frame, which has no mass.
+        trunk_body: Body id of the trunk.
         robot_bodies: Body ids of the trunk and the legs.
         board_body: Body id of the deck.
         truck_joints: Joint ids of the two trucks.
         touched_geoms: Ids of the geoms whose friction the robot feels: its own, the deck, its floor.
-        weld: Equality id of the board's weld.
+        weld: Equality id of the weld that fixes the board.
         floor_mocap: Mocap id of the robot's floor.
-        rolling: ``[nv]`` velocities of a scene whose board, as it lies at a start, rolls forward at 1 m/s.
-        joint_range: ``[12, 2]``, radians.
+        rolling: ``[nv]`` velocities of the scene while the board, in its start pose, rolls forward at 1 m/s.
     """
 
     sensors: dict[str, tuple[slice, tuple[int, ...]]]
-    bodies: np.ndarray
-    body_names: tuple[str, ...]
     joint_qpos: np.ndarray
     joint_dof: np.ndarray
     actuators: np.ndarray
@@ -198,15 +196,14 @@ class SceneIndex:
     weld: int
     floor_mocap: int
     rolling: np.ndarray
-    joint_range: np.ndarray
 
     @classmethod
     def of(cls, scene: Scene, model: mujoco.MjModel) -> SceneIndex:
-        """Index a compiled scene.
+        """Look up the ids and slices of a compiled scene.
 
         Args:
             scene: The scene.
-            model: Its compiled model.
+            model: The model that the scene was compiled to.
         """
 
         def sensor(prefix: str, count: int = 0) -> tuple[slice, tuple[int, ...]]:
@@ -215,7 +212,7 @@ class SceneIndex:
                 return slice(s.adr[0], s.adr[0] + s.dim[0]), (int(s.dim[0]),)
             parts = [model.sensor(f"{prefix}_{i}") for i in range(count)]
             start, dim = int(parts[0].adr[0]), int(parts[0].dim[0])
-            # Sensors of one field are added one after the other, so a field is one slice.
+            # The sensors of a field were added one after the other, so the field is one slice.
             assert [int(p.adr[0]) for p in parts] == [start + i * dim for i in range(count)]
             return slice(start, start + count * dim), (count,) if dim == 1 else (count, dim)
 
@@ -226,11 +223,9 @@ class SceneIndex:
         feet = ("foot_pos", "foot_vel", "foot_pos_base", "foot_pos_board", "foot_vel_board")
         sensors |= {n: sensor(n, 4) for n in (*feet, "foot_deck_force", "foot_force")}
         sensors |= {"truck_angle": sensor("truck_angle", 2), "wheel_speed": sensor("wheel_speed", 4)}
-        bodies = [
-            (b, name, i) for b, (name, geoms) in enumerate(scene.robot.body_geoms.items()) for i in range(len(geoms))
-        ]
-        first = model.sensor(f"body_force_{bodies[0][1]}_{bodies[0][2]}")
-        start = int(first.adr[0])
+        bodies = scene.robot.body_geoms
+        assert all(len(geoms) == 1 for geoms in bodies.values()), "body_force has one contact sensor for each body"
+        start = int(model.sensor(f"body_force_{next(iter(bodies))}_0").adr[0])
         sensors["body_force"] = (slice(start, start + 3 * len(bodies)), (len(bodies), 3))
 
         joints = [model.joint(j.full_identifier) for j in scene.robot.joints]
@@ -248,8 +243,6 @@ class SceneIndex:
         robot_bodies = np.flatnonzero(model.body_rootid == robot_body)
         return cls(
             sensors=sensors,
-            bodies=np.array([b for b, _, _ in bodies]),
-            body_names=tuple(scene.robot.body_geoms),
             joint_qpos=np.array([j.qposadr[0] for j in joints]),
             joint_dof=np.array([j.dofadr[0] for j in joints]),
             actuators=np.array([model.actuator(a.full_identifier).id for a in scene.robot.actuators]),
@@ -264,5 +257,4 @@ class SceneIndex:
             weld=int(model.equality(scene.weld.full_identifier).id),
             floor_mocap=int(floor.mocapid[0]),
             rolling=rolling,
-            joint_range=np.stack([j.range for j in joints]),
         )

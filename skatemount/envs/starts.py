@@ -1,4 +1,4 @@
-"""Start states: where the robot begins, with its feet on whatever is under them."""
+"""Start states: random poses of the robot with its feet on the deck or on the ground."""
 
 from __future__ import annotations
 
@@ -13,27 +13,29 @@ from skatemount.envs.config.board import SkateboardConfig
 from skatemount.envs.config.starts import StartConfig
 from skatemount.envs.geometry import quat_from_euler, quat_to_matrix, rotate
 from skatemount.envs.legs import Legs
-from skatemount.envs.physics.base import StartState
+from skatemount.envs.physics.base import StartState, where_rows
 from skatemount.envs.sampling import either_sign, uniform
 from skatemount.envs.terms import TaskContext
 from skatemount.utils.errors import ConfigError
 
 _CAPSULE_RADIUS = 0.02
+"""Upper bound on the radii of the thighs' and calves' capsules, m."""
 _ROUNDS = 40
+"""Number of batches of candidates to draw before giving up."""
 
 
 @dataclass
 class StartPoses:
-    """Where starts are.
+    """Poses of the robot relative to the board, and the state of the board, from which start states are made.
 
     Attributes:
-        xy: ``[N, 2]`` trunk in the board frame, m.
-        yaw: ``[N]`` heading in the board frame, rad.
-        step_height: ``[N]`` deck above the robot's floor, m.
-        board_fixed: ``[N]`` bool.
-        bin: ``[N]`` int64, the part of a curriculum that a start belongs to, -1 for none.
-        from_stage_ranges: ``[N]`` bool, starts that are drawn from the start settings' ranges after all; none of them
-            if not given.
+        xy: ``[N, 2]`` position of the trunk in the board frame, m.
+        yaw: ``[N]`` heading of the trunk in the board frame, rad.
+        step_height: ``[N]`` height of the deck above the robot's floor, m.
+        board_fixed: ``[N]`` bool, the deck is welded to the world.
+        bin: ``[N]`` int64, the curriculum bin of the pose, -1 for none.
+        from_stage_ranges: ``[N]`` bool, poses that are replaced by poses from the ranges of the start settings. None
+            means that no pose is replaced.
     """
 
     xy: Tensor
@@ -45,26 +47,27 @@ class StartPoses:
 
 
 StartPoseSampler = Callable[[int, torch.Generator], StartPoses]
+"""A function that draws a number of poses with a generator."""
 StartTransform = Callable[[StartState, torch.Generator], StartState]
+"""A function that replaces some of the drawn start states, with a generator for its random choices."""
 
 
 class StartSampler:
-    """Draws start states that touch nothing they should not.
+    """A source of start states without unwanted contacts.
 
-    Feet stand on the ground or on the deck, whichever is under them: leg kinematics puts each foot at its support's
-    height, then the trunk is raised until the lowest foot touches. A joint that this takes beyond its soft limits
-    stops there. Candidates with a foot near the deck's edge, or with a thigh or calf inside board or ground, are
-    dropped.
+    Each foot stands on the deck or on the ground, whichever is under it: inverse kinematics puts the foot at the height
+    of its support, within the joint's soft limits. Then the trunk is raised until the lowest foot touches. Candidates
+    with a foot near the deck's edge, or with a thigh or calf inside board or ground, are rejected.
 
     Args:
-        config: Ranges.
-        legs: Kinematics.
+        config: Ranges of the start states.
+        legs: Kinematics of the legs.
         context: Constants of the task.
-        board: The board.
-        place: Draws where starts are; by the ranges if none.
+        board: Settings of the board.
+        sample_poses: Draws the poses; they come from the ranges if None.
 
     Raises:
-        ConfigError: A range that cannot be drawn from.
+        ConfigError: A range cannot be drawn from.
     """
 
     def __init__(
@@ -73,56 +76,56 @@ class StartSampler:
         legs: Legs,
         context: TaskContext,
         board: SkateboardConfig,
-        place: StartPoseSampler | None = None,
+        sample_poses: StartPoseSampler | None = None,
     ):
         config.validate()
         if config.step_height is not None and not 0 <= config.step_height[0] <= config.step_height[1] <= (
             context.deck_height
         ):
             raise ConfigError(
-                f"start.step_height={config.step_height} must be within 0 and the deck's height, "
-                f"{context.deck_height} m: the robot's floor can only be raised, and only up to the deck"
+                f"start.step_height={config.step_height} must be within 0 and the deck's height of "
+                f"{context.deck_height} m; the robot's floor can only be raised, and only up to the deck"
             )
         self.config = config
         self._legs = legs
         self._along = torch.linspace(0.0, 1.0, 6)
-        self._place = place
+        self._sample_poses = sample_poses
         self._context = context
         self._deck = torch.tensor(context.deck_half)
-        # The wheels of a narrow board stick out from under its deck.
+        # The wheels of a narrow board reach beyond the edges of its deck.
         wheels = (board.wheelbase / 2 + board.wheel_radius, board.track / 2 + board.wheel_radius)
         self._board = torch.maximum(self._deck, torch.tensor(wheels))
         self._nominal_feet = legs.feet(context.default_pose)
 
     def draw(self, count: int, generator: torch.Generator) -> StartState:
-        """Draw valid starts.
+        """Draw valid start states.
 
         Args:
-            count: How many.
+            count: Number of start states.
             generator: Source of randomness.
 
         Returns:
-            ``count`` starts.
+            ``[count]`` start states.
 
         Raises:
-            ConfigError: Hardly any candidate within the ranges is valid.
+            ConfigError: Too few candidates within the ranges are valid.
         """
         parts: list[StartState] = []
-        have = 0
+        found = 0
         for _ in range(_ROUNDS):
             candidates, valid = self._candidates(count, generator)
             parts.append(candidates[valid])
-            have += len(parts[-1])
-            if have >= count:
+            found += len(parts[-1])
+            if found >= count:
                 return StartState.cat(parts)[:count]
         c = self.config
         where = f"start.x={c.x}, start.y={c.y}" if c.distance is None else f"start.distance={c.distance}"
         where += f", start.yaw={c.yaw}"
-        if self._place is not None:
-            where = "the curriculum's starts"
+        if self._sample_poses is not None:
+            where = "the start poses of the curriculum"
         raise ConfigError(
-            f"{where} leave hardly any place to stand: {have} of {_ROUNDS * count} candidates keep every foot "
-            f"{c.edge_margin} m off the deck's edge (start.edge_margin) and legs out of board and ground; widen them"
+            f"{where} must leave room to stand: only {found} of {_ROUNDS * count} candidates keep every foot "
+            f"{c.edge_margin} m off the deck's edge (start.edge_margin) and the legs out of board and ground"
         )
 
     def _within_ranges(self, n: int, generator: torch.Generator) -> StartPoses:
@@ -146,10 +149,11 @@ class StartSampler:
 
     def _candidates(self, n: int, generator: torch.Generator) -> tuple[StartState, Tensor]:
         c, context = self.config, self._context
-        place = self._within_ranges(n, generator) if self._place is None else self._place(n, generator)
-        if place.from_stage_ranges is not None:
-            place = _either(place.from_stage_ranges, self._within_ranges(n, generator), place)
-        xy, yaw, ground = place.xy, place.yaw, context.deck_height - place.step_height
+        sample_poses = self._within_ranges if self._sample_poses is None else self._sample_poses
+        poses = sample_poses(n, generator)
+        if poses.from_stage_ranges is not None:
+            poses = _select_rows(poses.from_stage_ranges, self._within_ranges(n, generator), poses)
+        xy, yaw, ground = poses.xy, poses.yaw, context.deck_height - poses.step_height
 
         def draw(bounds: list[float], *shape: int) -> Tensor:
             return uniform((n, *shape), generator, bounds)
@@ -186,9 +190,9 @@ class StartSampler:
             joint_pos=joints,
             joint_vel=draw(c.joint_vel, 12),
             ground_height=ground,
-            board_fixed=place.board_fixed,
-            board_speed=self._board_speed(place.board_fixed, generator),
-            bin=place.bin,
+            board_fixed=poses.board_fixed,
+            board_speed=self._board_speed(poses.board_fixed, generator),
+            bin=poses.bin,
             force=draw(c.force, 3),
             torque=draw(c.torque, 3),
         )
@@ -197,7 +201,7 @@ class StartSampler:
     def _board_speed(self, fixed: Tensor, generator: torch.Generator) -> Tensor:
         n, bounds = len(fixed), self.config.board_speed
         if bounds == [0.0, 0.0]:
-            # Nothing is drawn, so that a seed's starts are what they were without this setting.
+            # Nothing is drawn, so that the other random numbers of a seed are the same as without this setting.
             return torch.zeros(n, device=fixed.device)
         speed = uniform((n,), generator, bounds) * either_sign(n, generator)
         return torch.where(fixed, 0.0, speed)
@@ -218,51 +222,54 @@ class StartSampler:
         return points[..., 2] < support + _CAPSULE_RADIUS
 
 
-def _either(first: Tensor, one: StartPoses, other: StartPoses) -> StartPoses:
-    """Rows of the one where ``first`` says so, of the other elsewhere."""
+def _select_rows(mask: Tensor, first: StartPoses, second: StartPoses) -> StartPoses:
+    """Take the first's rows where the ``[N]`` bool mask is true, the second's where it is false."""
     return StartPoses(
-        xy=torch.where(first.unsqueeze(1), one.xy, other.xy),
-        yaw=torch.where(first, one.yaw, other.yaw),
-        step_height=torch.where(first, one.step_height, other.step_height),
-        board_fixed=torch.where(first, one.board_fixed, other.board_fixed),
-        bin=torch.where(first, one.bin, other.bin),
+        xy=where_rows(mask, first.xy, second.xy),
+        yaw=where_rows(mask, first.yaw, second.yaw),
+        step_height=where_rows(mask, first.step_height, second.step_height),
+        board_fixed=where_rows(mask, first.board_fixed, second.board_fixed),
+        bin=where_rows(mask, first.bin, second.bin),
     )
 
 
 class StartQueue:
-    """Valid starts drawn ahead, in a fixed order.
+    """A queue of start states that are drawn ahead.
 
-    Drawing a few starts a step costs as much as drawing a thousand, and the order in which worlds take them depends on
-    nothing but the generator.
+    Drawing a few start states costs as much as drawing a thousand, so they are drawn in batches. Worlds take them in
+    the order of drawing, which depends on the generator only.
 
     Args:
-        sampler: Where starts come from.
-        size: How many are drawn at a time.
+        sampler: Source of the start states.
+        size: Number of start states in a batch.
         generator: Source of randomness.
-        change: Makes other starts of those that were drawn.
+        transform: Applied to every batch; no transform if None.
     """
 
     def __init__(
-        self, sampler: StartSampler, size: int, generator: torch.Generator, change: StartTransform | None = None
+        self, sampler: StartSampler, size: int, generator: torch.Generator, transform: StartTransform | None = None
     ):
         self._sampler = sampler
         self._size = size
         self._generator = generator
-        self._change = change
+        self._transform = transform
         self._starts: StartState | None = None
         self._next = 0
 
     def take(self, count: int) -> StartState:
-        """The next starts.
+        """Take the next start states from the queue.
 
         Args:
-            count: How many.
+            count: Number of start states.
+
+        Returns:
+            ``[count]`` start states.
         """
         while self._starts is None or self._next + count > len(self._starts):
             more = self._sampler.draw(self._size, self._generator)
-            if self._change is not None:
-                more = self._change(more, self._generator)
-            # What is left is taken first: no start is skipped, whichever worlds ask for how many.
+            if self._transform is not None:
+                more = self._transform(more, self._generator)
+            # The rest of the last batch comes first, so that no start state is skipped.
             self._starts = more if self._starts is None else StartState.cat([self._starts[self._next :], more])
             self._next = 0
         taken = slice(self._next, self._next + count)

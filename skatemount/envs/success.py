@@ -1,4 +1,4 @@
-"""What counts as standing on the board: MountBench's definition, used by rewards, training and evaluation alike."""
+"""MountBench's definition of success, which rewards, training and evaluation share."""
 
 from __future__ import annotations
 
@@ -12,105 +12,131 @@ from skatemount.envs.geometry import beyond_rectangle
 from skatemount.envs.state import EpisodeState, SimState
 
 PRESS = 1.0
-"""Contact force that counts as a contact, N."""
+"""Force above which a contact counts, N."""
 FLICKER = 0.1
-"""How long a foot's contact with the deck may be interrupted, s."""
+"""Longest interruption of a foot's contact with the deck that is forgiven, s."""
 MAX_VELOCITY_ERROR = 0.25
-"""Mean error of the velocity in the plane that still counts as following the command, m/s."""
+"""Bound on the mean error of the horizontal velocity of a robot that follows its command, m/s."""
 MAX_TURN_ERROR = 0.3
-"""Likewise of the turning rate, rad/s."""
+"""Bound on the mean error of the turning rate of a robot that follows its command, rad/s."""
 MAX_TRUNK_TILT = math.radians(45)
 MAX_DECK_TILT = math.radians(30)
 
 
 def feet_on_deck(sim: SimState) -> Tensor:
-    """Which feet press on the deck from above, ``[N, 4]`` bool.
+    """Find the feet that press on the deck from above.
 
-    The contact force with the deck exceeds 1 N and the foot's centre is above the deck's plane.
+    The contact force with the deck exceeds 1 N, and the foot's center is above the deck's plane.
+
+    Args:
+        sim: The state.
+
+    Returns:
+        ``[N, 4]`` bool.
     """
     force = torch.linalg.vector_norm(sim.foot_deck_force, dim=-1)
     return (force > PRESS) & (sim.foot_pos_board[..., 2] > 0.0)
 
 
-def feet_elsewhere(sim: SimState) -> Tensor:
-    """Which feet press on anything that is not the deck, ``[N, 4]`` bool."""
+def feet_off_deck_contact(sim: SimState) -> Tensor:
+    """Find the feet that press on anything other than the deck, ``[N, 4]`` bool."""
     return torch.linalg.vector_norm(sim.foot_other_force, dim=-1) > PRESS
 
 
 def body_contacts(sim: SimState) -> Tensor:
-    """Which other parts of the robot touch board or ground, ``[N, 13]`` bool."""
+    """Find the robot bodies other than the feet that touch board or ground, ``[N, 13]`` bool."""
     return sim.body_force > PRESS
 
 
 def deck_level(sim: SimState) -> Tensor:
-    """Cosine of the angle between the deck's normal and the vertical, ``[N]``."""
+    """Return the cosine of the angle between the deck's normal and the vertical, ``[N]``."""
     return sim.board_rot[:, 2, 2]
 
 
-def is_mounted(sim: SimState, off_time: Tensor, elsewhere: Tensor) -> Tensor:
-    """Whether the robot stands on the board now, ``[N]`` bool.
+def is_mounted(sim: SimState, off_time: Tensor, off_deck_contact: Tensor) -> Tensor:
+    """Test whether the robot is mounted now.
 
-    All four feet on the deck (each interrupted for at most 0.1 s), no foot on anything else, no other part of the
-    robot in contact, trunk within 45 degrees of upright, deck within 30 degrees of level.
+    All four feet are on the deck, each interrupted for at most 0.1 s. No foot presses on anything else, and no other
+    part of the robot touches anything. The trunk is within 45 degrees of upright, and the deck within 30 degrees of
+    level.
 
     Args:
         sim: The state.
-        off_time: ``[N, 4]`` seconds since each foot last pressed on the deck.
-        elsewhere: ``[N]`` bool, whether any of the `feet_elsewhere` is.
+        off_time: ``[N, 4]`` time since each foot last pressed on the deck, s.
+        off_deck_contact: ``[N]`` bool, true where a foot presses on anything other than the deck.
+
+    Returns:
+        ``[N]`` bool.
     """
-    # A millisecond forgives float32's rounding of a sum of control steps.
-    feet = (off_time <= FLICKER + 1e-3).all(-1) & ~elsewhere
+    # The millisecond covers float32's rounding of a sum of control steps.
+    feet = (off_time <= FLICKER + 1e-3).all(-1) & ~off_deck_contact
     clean = ~body_contacts(sim).any(-1)
     level = (-sim.gravity[:, 2] > math.cos(MAX_TRUNK_TILT)) & (deck_level(sim) > math.cos(MAX_DECK_TILT))
     return feet & clean & level
 
 
-def nearly_mounted(sim: SimState, elsewhere: Tensor, deck_half: tuple[float, float], foot_radius: float) -> Tensor:
-    """Share of the feet over the deck and at most 2 cm above it, 0 with a foot elsewhere or tilted, ``[N]``.
+def nearly_mounted(
+    sim: SimState, off_deck_contact: Tensor, deck_half: tuple[float, float], foot_radius: float
+) -> Tensor:
+    """Compute the fraction of the feet that are over the deck and at most 2 cm above it.
 
     Args:
         sim: The state.
-        elsewhere: ``[N]`` bool, whether any of the `feet_elsewhere` is.
+        off_deck_contact: ``[N]`` bool, true where a foot presses on anything other than the deck.
         deck_half: Half length and half width of the deck, m.
-        foot_radius: m.
+        foot_radius: Radius of a foot, m.
+
+    Returns:
+        ``[N]`` from 0 to 1; 0 where a foot presses on anything else or the trunk is tilted by more than 45 degrees.
     """
     position = sim.foot_pos_board
     beyond_x, beyond_y = beyond_rectangle(position, deck_half)
     height = position[..., 2]
     near = (beyond_x < 0) & (beyond_y < 0) & (height > 0.0) & (height < foot_radius + 0.02)
-    sound = ~elsewhere & (-sim.gravity[:, 2] > math.cos(MAX_TRUNK_TILT))
+    sound = ~off_deck_contact & (-sim.gravity[:, 2] > math.cos(MAX_TRUNK_TILT))
     return near.float().mean(-1) * sound
 
 
 def stood(episode: EpisodeState, control_step: float) -> Tensor:
-    """Whether the robot was mounted throughout the last second, ``[N]`` bool.
+    """Test whether the robot was mounted throughout the last second.
 
     Args:
         episode: The episodes, at their last step.
-        control_step: Seconds.
+        control_step: Time between two actions, s.
+
+    Returns:
+        ``[N]`` bool.
     """
     return episode.mounted_time >= HOLD - control_step / 2
 
 
 def followed(episode: EpisodeState, control_step: float) -> Tensor:
-    """Whether the robot followed its velocity commands, ``[N]`` bool: mean errors below 0.25 m/s and 0.3 rad/s.
+    """Test whether the robot followed its velocity commands: mean errors below 0.25 m/s and 0.3 rad/s.
 
     Args:
         episode: The episodes, at their last step.
-        control_step: Seconds.
+        control_step: Time between two actions, s.
+
+    Returns:
+        ``[N]`` bool.
     """
     mean = episode.command_error / episode.step.clamp(min=1).unsqueeze(1)
     return (mean[:, 0] < MAX_VELOCITY_ERROR) & (mean[:, 1] < MAX_TURN_ERROR)
 
 
 ACHIEVED = {"mount": stood, "gait": followed}
-"""What an episode must achieve to succeed, besides lasting until its time limit."""
+"""The success test of each criterion. An episode must also last until its time limit."""
 
 
 def time_to_mount(episode: EpisodeState, control_step: float) -> Tensor:
-    """Seconds from the first foot-deck contact to the start of the present mounted stretch, ``[N]``.
+    """Compute the time from the first foot-deck contact to the start of the present mounted stretch.
 
-    Only meaningful for an episode that has succeeded.
+    Args:
+        episode: The episodes, at their last step.
+        control_step: Time between two actions, s.
+
+    Returns:
+        ``[N]`` s; only meaningful for an episode that has succeeded.
     """
     elapsed = episode.step * control_step
     return (elapsed - episode.mounted_time - episode.first_contact).clamp(min=0.0)

@@ -1,4 +1,4 @@
-"""`MountTask`: the task as a dm_control composer task, the reference that the batched environment is built from."""
+"""`MountTask`: the task as a dm_control composer task, from which the batched environment is built."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ from skatemount.envs.terms import TaskContext
 
 
 class MountTask(composer.Task):
-    """A quadruped mounts a skateboard.
+    """The task in which a quadruped mounts a skateboard.
 
-    In `composer.Environment` it is one world for any dm_env agent and for dm_control's viewer; given to
-    `skatemount.envs.MountEnv` it is a batch of worlds for TorchRL. Both call the same functions.
+    `composer.Environment` makes one world of it, for any dm_env agent and for dm_control's viewer.
+    `skatemount.envs.MountEnv` makes a batch of worlds of it, for TorchRL. Both call the same functions.
 
         task = MountTask(stage="unfixed")
         env = composer.Environment(task, recompile_mjcf_every_episode=False, strip_singleton_obs_buffer_dim=True)
 
     Args:
-        stage: Name of a stage of the configuration; `skatemount.config.stages` lists them.
+        stage: Name of a stage; `skatemount.config.stages` lists them.
         overrides: Further settings in Hydra's syntax, such as ``["board=longboard", "reward.mounted.weight=5"]``.
-        config: A complete configuration instead of the two.
+        config: A complete configuration, in place of stage and overrides.
 
     Raises:
-        ConfigError: An unknown stage, setting or value.
+        ConfigError: The stage or a setting is unknown, or a setting has a value that cannot be used.
     """
 
     def __init__(self, stage: str | None = None, overrides: Sequence[str] = (), config: TaskConfig | None = None):
         if config is None:
-            # Only here: composing a configuration needs Hydra, which a task built from Python does not.
+            # Imported here because only a task that is built from a stage needs Hydra.
             from skatemount.config import compose_task
 
             config = compose_task(stage, overrides)
@@ -62,36 +62,42 @@ class MountTask(composer.Task):
         self._pushes: Pushes | None = None
         self.set_timesteps(self.scene.solver.control_step, self.scene.solver.timestep)
         self._observables = {
-            "observation": observable.Generic(lambda physics: self._look(physics)[0][0].numpy()),
-            "privileged": observable.Generic(lambda physics: self._look(physics)[1][0].numpy()),
+            "observation": observable.Generic(lambda physics: self._observe(physics)[0][0].numpy()),
+            "privileged": observable.Generic(lambda physics: self._observe(physics)[1][0].numpy()),
         }
-        for each in self._observables.values():
-            each.enabled = True
+        for item in self._observables.values():
+            item.enabled = True
 
     def make_mdp(self, generator: torch.Generator) -> Mdp:
-        """The task's mathematics with a source of randomness of its own."""
-        return Mdp(self.config, self.scene, generator)
-
-    def make_sampler(self, place: StartPoseSampler | None = None, device: torch.device | None = None) -> StartSampler:
-        """The source of start states.
+        """Build the task's decision process.
 
         Args:
-            place: Draws where they are; by the start settings' ranges if none.
-            device: Where they are drawn, that of the generators to come; the CPU if not given.
+            generator: Source of commands and observation noise; states are on its device.
+        """
+        return Mdp(self.config, self.scene, generator)
+
+    def make_sampler(
+        self, sample_poses: StartPoseSampler | None = None, device: torch.device | None = None
+    ) -> StartSampler:
+        """Build the source of start states.
+
+        Args:
+            sample_poses: Draws the poses; they come from the ranges of the start settings if None.
+            device: Device of the start states and of the generators that draw them; the CPU if None.
         """
         with device or torch.device("cpu"):
             context = TaskContext.of(self.scene, self.config.episode_length)
             legs = Legs(self.scene.robot.kinematics)
-            return StartSampler(self.config.start, legs, context, self.scene.board.config, place)
+            return StartSampler(self.config.start, legs, context, self.scene.board.config, sample_poses)
 
     @property
     def root_entity(self) -> composer.Arena:
-        """The arena with robot and board in it."""
+        """The arena, which contains robot and board."""
         return self.scene.arena
 
     @property
     def task_observables(self) -> dict[str, observable.Observable]:
-        """``observation``, what the policy sees, and ``privileged``, what only the critic sees besides."""
+        """``observation``, for the policy, and ``privileged``, which only the critic gets in addition."""
         return self._observables
 
     @property
@@ -101,27 +107,30 @@ class MountTask(composer.Task):
 
     @property
     def outcome(self) -> StepResult | None:
-        """What the last step led to, a batch of one; none before the first step of an episode."""
+        """The result of the last step, a batch of one; None before the first step of an episode."""
         return self._outcome
 
     @property
     def _last(self) -> StepResult:
-        assert self._outcome is not None, "no step was made since the episode began"
+        assert self._outcome is not None, "the episode has had no step yet"
         return self._outcome
 
     def action_spec(self, physics: Any) -> dm_env.specs.BoundedArray:
-        """12 joint position targets, relative to the default pose and in units of the action scale."""
+        """Return the spec of an action, ``[12]``.
+
+        Actions are joint position targets relative to the default pose, in units of the action scale.
+        """
         bound = self.scene.robot.config.action_clip
         return dm_env.specs.BoundedArray((12,), np.float32, -bound, bound, name="action")
 
     def after_compile(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Note where the compiled scene keeps what, and its nominal values."""
+        """Look up the ids of the compiled scene, and copy its nominal values."""
         self._index = SceneIndex.of(self.scene, physics.model.ptr)
         self._nominal = copy.copy(physics.model.ptr)
         self._sim = None
 
     def initialize_episode(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Draw a start state, and the randomised physics, and put the world into it."""
+        """Draw randomized physics and a start state, and begin an episode there."""
         self._generator.manual_seed(int(random_state.randint(2**31)))
         world = _SingleWorld(physics)
         randomizer = Randomizer(self.config.randomization, self._index, self._nominal, self._generator)
@@ -135,7 +144,7 @@ class MountTask(composer.Task):
 
         Args:
             physics: The compiled scene.
-            start: One start.
+            start: One start state.
         """
         index, data = self._index, physics.data
         data.qpos[index.base_qpos] = torch.cat((start.base_pos[0], start.base_quat[0]))
@@ -148,15 +157,15 @@ class MountTask(composer.Task):
         data.eq_active[index.weld] = bool(start.board_fixed[0])
         data.mocap_pos[index.floor_mocap, 2] = float(start.ground_height[0])
         physics.forward()
-        # Kept: what composer computes once more after a reset, with the actuators off, has other contact forces.
+        # Kept because composer computes the reset state again with the actuators off, which changes contact forces.
         self._sim = self._state(physics)
         self._episode = self._mdp.begin(self._sim)
         self._outcome = None
 
     def before_step(self, physics: Any, action: np.ndarray, random_state: np.random.RandomState) -> None:
-        """Turn the action into joint position targets."""
+        """Convert the action to joint position targets and push the robot if a push is due."""
         if self._outcome is None:
-            # After a reset composer computes everything once more with the actuators off; do it again with them on.
+            # Composer computed the reset state with the actuators off, so it is computed again with them on.
             physics.data.qacc_warmstart[:] = 0.0
             physics.forward()
         if self._pushes is not None and self._pushes.active:
@@ -169,31 +178,31 @@ class MountTask(composer.Task):
             return
         dof = self._index.base_dof.start
         physics.data.qvel[dof : dof + 3] += velocity[0].numpy()
-        # Composer's next step begins where this one has been computed up to: positions and velocities.
+        # Composer's next step expects that positions and velocities of the state are already computed.
         mujoco.mj_step1(physics.model.ptr, physics.data.ptr)
 
     def before_substep(self, physics: Any, action: np.ndarray, random_state: np.random.RandomState) -> None:
-        """Nothing: the targets hold for the whole control step."""
+        """Do nothing, because the targets are constant for the whole control step."""
 
     def after_step(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Account for the step."""
+        """Update the episode by the step."""
         diverged = torch.tensor([not np.isfinite(physics.data.qpos).all()])
         self._sim = self._state(physics)
         self._outcome = self._mdp.advance(self._sim, self._episode, self._action, diverged)
 
     def get_reward(self, physics: Any) -> float:
-        """The reward of the last step."""
+        """Return the reward of the last step."""
         return float(self._last.reward[0])
 
     def should_terminate_episode(self, physics: Any) -> bool:
-        """Whether the last step ended the episode, by a termination or by the time limit."""
+        """Return whether a termination or the time limit ended the episode in the last step."""
         return bool(self._last.terminated[0] | self._last.truncated[0])
 
     def get_discount(self, physics: Any) -> float:
-        """0 after a termination, 1 otherwise (a time limit is no end of the task)."""
+        """Return 0 after a termination, else 1: a time limit does not end the task itself."""
         return 0.0 if self._last.terminated[0] else 1.0
 
-    def _look(self, physics: Any) -> tuple[Tensor, Tensor]:
+    def _observe(self, physics: Any) -> tuple[Tensor, Tensor]:
         sim = self._state(physics) if self._sim is None else self._sim
         return self._mdp.observe(sim, self._episode)
 
@@ -208,15 +217,15 @@ class MountTask(composer.Task):
 
 
 class _SingleWorld:
-    """The model fields of composer's one world, as a batch of one."""
+    """The model fields of composer's world, as a batch of one."""
 
     def __init__(self, physics: Any):
         self._model, self._data = physics.model.ptr, physics.data.ptr
 
     def field(self, name: str) -> Tensor:
-        """A live ``[1, ...]`` view."""
+        """Return a live ``[1, ...]`` view of a model field."""
         return torch.from_numpy(getattr(self._model, name)).unsqueeze(0)
 
     def refresh_constants(self) -> None:
-        """Recompute what the model derives from masses and inertias."""
+        """Recompute the model constants that depend on masses and inertias."""
         mujoco.mj_setConst(self._model, self._data)

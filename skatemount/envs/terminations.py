@@ -1,4 +1,8 @@
-"""What ends an episode before its time."""
+"""Termination terms: conditions that end an episode before its time limit.
+
+Every function returns ``[N]`` bool. "Paper's code" means the settings of the paper's published runs, "ours" a term that
+is not in them.
+"""
 
 from __future__ import annotations
 
@@ -22,25 +26,46 @@ def _termination(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
 
 @_termination
 def trunk_contact(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """The trunk touches anything with more than 1 N (paper's code)."""
+    """End the episode when the trunk touches anything with more than 1 N (paper's code)."""
     return sim.body_force[:, 0] > success.PRESS
 
 
 @_termination
 def tilt(sim: SimState, episode: EpisodeState, context: TaskContext, degrees: float = 66.0) -> Tensor:
-    """The trunk is tilted by more than this from upright (ours)."""
+    """End the episode when the trunk is tilted too far from upright (ours).
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        degrees: Largest tilt, degrees.
+    """
     return -sim.gravity[:, 2] < math.cos(math.radians(degrees))
 
 
 @_termination
 def board_tilt(sim: SimState, episode: EpisodeState, context: TaskContext, degrees: float = 53.0) -> Tensor:
-    """The deck is tilted by more than this from level (ours); 90 is the paper's flip."""
+    """End the episode when the deck is tilted too far from level (ours; with 90 degrees, the paper's flip).
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        degrees: Largest tilt, degrees.
+    """
     return success.deck_level(sim) < math.cos(math.radians(degrees))
 
 
 @_termination
 def out_of_reach(sim: SimState, episode: EpisodeState, context: TaskContext, metres: float = 2.2) -> Tensor:
-    """The trunk is farther than this from the deck's centre in the plane (ours)."""
+    """End the episode when the trunk is too far from the deck's center (ours).
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        metres: Largest horizontal distance, m.
+    """
     return episode.distance > metres
 
 
@@ -48,11 +73,14 @@ class TerminationTable:
     """Termination terms; an episode ends early when any of them is true.
 
     Args:
-        terms: The table.
+        terms: Settings of the terms by name.
         context: Constants of the task.
 
     Attributes:
-        names: Terms in order.
+        names: Names of the enabled terms, in order.
+
+    Raises:
+        ConfigError: A term or a parameter is unknown, or a parameter has a value that cannot be used.
     """
 
     def __init__(self, terms: dict[str, TerminationTerm], context: TaskContext):
@@ -62,7 +90,15 @@ class TerminationTable:
         self._functions = [bound[name] for name in self.names]
 
     def __call__(self, sim: SimState, episode: EpisodeState) -> Tensor:
-        """Which terminations are true, ``[terms, N]`` bool."""
+        """Evaluate the terms.
+
+        Args:
+            sim: The state after the step.
+            episode: The episodes, updated by the step.
+
+        Returns:
+            ``[terms, N]`` bool.
+        """
         if not self._functions:
             return sim.base_pos.new_zeros(0, sim.base_pos.shape[0], dtype=torch.bool)
         return torch.stack([f(sim, episode, self._context) for f in self._functions])

@@ -139,7 +139,7 @@ class Evaluator:
     def ends(self) -> list[str]:
         """What a failure may end by, as `EpisodeRecords.end` counts."""
         mdp = self.env.mdp
-        return [TIME_LIMIT[mdp.criterion], *mdp.end_names()]
+        return [TIME_LIMIT[mdp.criterion], *mdp.termination_names()]
 
     def has_ended(self, world: int) -> bool:
         """Whether a world's episode of the round that is running has ended."""

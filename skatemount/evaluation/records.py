@@ -26,8 +26,8 @@ class EpisodeRecords:
         start: ``[N, 3]`` x, y and yaw of the trunk in the board's frame at the start, m and rad.
         board_fixed: ``[N]`` bool.
         success: ``[N]`` bool.
-        end: ``[N]`` int64, 0 for the time limit, i for the i-th of `skatemount.envs.mdp.Mdp.end_names`, the first of
-            them that was true.
+        end: ``[N]`` int64, 0 for the time limit, i for the i-th of `skatemount.envs.mdp.Mdp.termination_names`, the
+            first of them that was true.
         duration: ``[N]`` s.
         mount_time: ``[N]`` s from the first contact with the deck to standing on it; not a number unless it succeeded
             and there was something to mount.

@@ -107,9 +107,9 @@ def test_a_robot_on_its_way_is_not_kept(env: MountEnv) -> None:
 
 
 def test_the_environment_starts_from_them(env: MountEnv) -> None:
-    StuckStateBuffer(env, 0.9, after=0.0)
+    buffer = StuckStateBuffer(env, 0.9, after=0.0)
     fidget(env)
-    env.set_start_transform(env._change)  # what was drawn before there was a buffer is left
+    env.set_start_transform(buffer.replace_fraction)  # what was drawn before there was a buffer is left
     env.reset()
     moving = env.sim.joint_vel.abs().amax(1) > 1e-3
     assert 0.7 < float(moving.float().mean()) <= 1.0

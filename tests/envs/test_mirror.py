@@ -122,7 +122,7 @@ def test_mirrored_worlds_stay_mirrored(fixed: bool, where: list[str]) -> None:
     touched = torch.zeros(4, dtype=torch.bool)
     for step in range(8):
         for name, table in tables.items():
-            values = episode.seen if name == "policy" else table(sim, episode)
+            values = episode.observation if name == "policy" else table(sim, episode)
             one, other = apply(table.mirror(), values[0]), values[1]
             torch.testing.assert_close(other, one, atol=1e-4, rtol=1e-4, msg=lambda m, n=name, s=step: f"{n} {s}: {m}")
         touched |= episode.touching[0]

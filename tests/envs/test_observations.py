@@ -217,7 +217,7 @@ def test_a_robot_that_sways_across_the_board_sees_it_the_same_way_round(make_sta
         sim = across(degrees)
         mdp.advance(sim, episode, nothing, torch.zeros(1, dtype=torch.bool))
         ends.append(int(episode.board_direction))
-        axis = episode.seen.split([part["size"] for part in mdp.observation.layout()], 1)[7]
+        axis = episode.observation.split([part["size"] for part in mdp.observation.layout()], 1)[7]
         assert mdp.observation.names[7] == "board_axes"
         torch.testing.assert_close(axis[:, :3], sim.board_rot_base[..., 0] * ends[-1])
     assert ends == [1, 1, 1, 1, -1, -1, -1, -1, 1]

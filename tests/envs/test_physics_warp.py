@@ -243,14 +243,14 @@ def test_lost_contacts_are_an_error_that_names_the_setting(task: MountTask, sett
     physics.reset(everywhere(4), start)
     physics.step(start.joint_pos, SUBSTEPS)
     message = physics.overflowed()
-    assert message is not None and f"raise physics.{setting}, which is {room}" in message
+    assert message is not None and f"physics.{setting}={room} must be larger" in message
     physics.close()
 
 
 def test_where_contacts_are_lost_the_number_of_constraints_is_not_blamed(warp: Physics) -> None:
     warp._all.overflow[1] = int(OverflowType.NEFC) | int(OverflowType.BROADPHASE)
     assert warp.overflowed() == (
-        "mujoco_warp dropped contacts in 1 of 4 worlds (BROADPHASE): raise physics.max_contacts, which is 48"
+        "mujoco_warp dropped contacts in 1 of 4 worlds (BROADPHASE); physics.max_contacts=48 must be larger"
     )
     assert warp.overflowed() is None
 
@@ -260,7 +260,7 @@ def test_contacts_lost_in_a_reset_of_few_are_an_error_too(task: MountTask, monke
     physics = make_physics(task.scene, defaults.physics(engine="warp", num_worlds=8, device="cpu", max_contacts=2))
     start = starts(task, 8)
     physics.reset(only(1, n=8), start[1:2])
-    assert physics.overflowed() == "mujoco_warp dropped contacts in a reset: raise physics.max_contacts, which is 2"
+    assert physics.overflowed() == "mujoco_warp dropped contacts in a reset; physics.max_contacts=2 must be larger"
     assert physics.overflowed() is None
     physics.close()
 

@@ -44,7 +44,7 @@ class Reset:
                 touches = of_robot[torch.from_numpy(data.contact.geom).long()].any(1)
                 depth = -torch.from_numpy(data.contact.dist).float()
                 self.depth[i] = torch.where(touches, depth, 0.0).max()
-        self.joint_range = torch.as_tensor(physics.index.joint_range, dtype=torch.float32)
+        self.joint_range = torch.as_tensor(task.scene.robot.joint_range, dtype=torch.float32)
         physics.close()
 
 

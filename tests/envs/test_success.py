@@ -14,7 +14,7 @@ from skatemount.envs.mdp import Mdp, StepResult
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.success import (
     body_contacts,
-    feet_elsewhere,
+    feet_off_deck_contact,
     feet_on_deck,
     followed,
     is_mounted,
@@ -50,7 +50,7 @@ def sim(standing_robot: SimState) -> SimState:
 def mounted(sim: SimState) -> bool:
     """Whether the robot of this one state stands on the board, no foot having been off it."""
     off_time = torch.where(feet_on_deck(sim), 0.0, math.inf)
-    return bool(is_mounted(sim, off_time, feet_elsewhere(sim).any(1)))
+    return bool(is_mounted(sim, off_time, feet_off_deck_contact(sim).any(1)))
 
 
 def about(axis: str, degrees: float) -> Tensor:
@@ -61,7 +61,7 @@ def about(axis: str, degrees: float) -> Tensor:
 
 
 def test_a_standing_robot_is_mounted(sim: SimState) -> None:
-    assert feet_on_deck(sim).all() and not feet_elsewhere(sim).any() and not body_contacts(sim).any()
+    assert feet_on_deck(sim).all() and not feet_off_deck_contact(sim).any() and not body_contacts(sim).any()
     assert mounted(sim)
 
 
@@ -139,7 +139,7 @@ def test_worlds_are_judged_one_by_one(sim: SimState) -> None:
     fallen = sim.clone()
     fallen.body_force[:, 0] = 50.0
     both = torch.cat((sim, fallen))
-    assert is_mounted(both, torch.zeros(2, 4), feet_elsewhere(both).any(1)).tolist() == [True, False]
+    assert is_mounted(both, torch.zeros(2, 4), feet_off_deck_contact(both).any(1)).tolist() == [True, False]
 
 
 @functools.cache
@@ -300,7 +300,7 @@ def test_a_gait_that_ends_early_is_no_success(sim: SimState) -> None:
 
 def test_nearly_mounted_counts_feet_over_the_deck_and_close_to_it(sim: SimState, airborne: SimState) -> None:
     def near(state: SimState) -> float:
-        return float(nearly_mounted(state, feet_elsewhere(state).any(1), (0.2875, 0.125), 0.02))
+        return float(nearly_mounted(state, feet_off_deck_contact(state).any(1), (0.2875, 0.125), 0.02))
 
     assert near(sim) == near(airborne) == 1.0  # no contact needed
     state = sim.clone()

@@ -1,4 +1,4 @@
-"""A skateboard's settings and what follows from them by geometry."""
+"""Settings of a skateboard, and the quantities that follow from them by geometry."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MAY_BE_ZERO = frozenset(
 class SkateboardConfig:
     """Sizes, masses and springs of a board.
 
-    ``conf/board/default.yaml`` says what each one means and gives its unit.
+    ``conf/board/default.yaml`` gives the meaning and unit of each setting.
     """
 
     deck_length: float
@@ -60,12 +60,12 @@ class SkateboardConfig:
 
     @property
     def deck_mass(self) -> float:
-        """What is left for the deck and its base plates, kg."""
+        """Mass of the deck and its base plates: the whole board without trucks and wheels, kg."""
         return self.mass - 2 * self.truck_mass - 4 * self.wheel_mass
 
     @property
     def roll_axis_depth(self) -> float:
-        """Depth of the axis about which the deck leans below the deck's top, m.
+        """Depth below the deck's top of the axis about which the deck leans, m.
 
         The axis is the line through both trucks' pivots, at the height of the axles.
         """
@@ -73,10 +73,10 @@ class SkateboardConfig:
 
     @property
     def roll_stiffness(self) -> float:
-        """Both bushings together about the roll axis, near level, N m/rad.
+        """Stiffness of both bushings together about the roll axis near level, N m/rad.
 
-        Near level the trucks turn by phi = lean / sin(theta), so the energy of both, k phi^2, is
-        half of (2 k / sin^2 theta) lean^2 (ours, from the geometry in :meth:`truck_rotation`).
+        Near level the trucks turn by phi = lean / sin(theta). The energy of both is k phi^2, which is half of (2 k /
+        sin^2 theta) lean^2. This is our derivation from the geometry in `truck_rotation`.
         """
         return 2 * self.truck_stiffness / math.sin(self._theta) ** 2
 
@@ -86,35 +86,39 @@ class SkateboardConfig:
         return math.atan(math.sin(self._theta) * math.tan(math.radians(self.truck_limit)))
 
     def truck_rotation(self, lean: float) -> float:
-        """Rotation of the trucks about their axes, phi, when all wheels stand on a plane.
+        """Compute the rotation phi of the trucks about their axes while all wheels stand on a plane.
 
-        tan(lean) = sin(theta) tan(phi), with theta the axis' tilt from the vertical: the axle,
-        turned about the axis, has to stay parallel to the floor.
+        tan(lean) = sin(theta) tan(phi), with theta the tilt of the axis from the vertical, because an axle that turns
+        about its axis must stay parallel to the floor.
 
         Args:
-            lean: roll of the deck, rad; positive to the right.
+            lean: Roll of the deck, rad; positive to the right.
 
         Returns:
-            Position of the rear truck's joint, rad; the front one's is its negative.
+            Position of the rear truck's joint, rad; that of the front truck's joint is its negative.
         """
         return math.atan(math.tan(lean) / math.sin(self._theta))
 
     def steering_angle(self, lean: float) -> float:
-        """Steering angle of each truck, beta, on a leaning deck.
+        """Compute the steering angle beta of each truck on a leaning deck.
 
-        tan(beta) = cot(theta) sin(lean); the same as HUSKY's tan(steer) = tan(lambda) sin(lean),
-        arXiv 2602.03205, with lambda = 90 deg - theta.
+        tan(beta) = cot(theta) sin(lean). This is HUSKY's tan(steer) = tan(lambda) sin(lean), arXiv 2602.03205, with
+        lambda = 90 deg - theta.
 
         Args:
-            lean: roll of the deck, rad; positive to the right.
+            lean: Roll of the deck, rad; positive to the right.
 
         Returns:
-            Angle of the front axle in rad, positive to the right; the rear axle's is its negative.
+            Angle of the front axle, rad; positive to the right. That of the rear axle is its negative.
         """
         return math.atan(math.sin(lean) / math.tan(self._theta))
 
     def turning_radius(self, lean: float) -> float:
-        """Radius of the circle that the board's centre rolls along at a lean other than 0, m."""
+        """Compute the radius of the circle on which the board's center rolls, m.
+
+        Args:
+            lean: Roll of the deck, rad; not 0.
+        """
         return self.wheelbase / 2 / abs(math.tan(self.steering_angle(lean)))
 
     @property
@@ -122,13 +126,13 @@ class SkateboardConfig:
         return math.radians(self.truck_angle)
 
     def validate(self, where: str = "board") -> None:
-        """Checks every setting.
+        """Check every setting.
 
         Args:
-            where: name of the group, for the message.
+            where: Name of the group, for messages.
 
         Raises:
-            ConfigError: if a setting cannot be used.
+            ConfigError: A setting cannot be used.
         """
 
         def refuse(name: str, expected: str) -> None:
@@ -160,10 +164,10 @@ class SkateboardConfig:
             refuse("track", f"greater than wheel_width, {self.wheel_width} m")
         lowest = self._lowest_deck_height()
         if self.deck_height < lowest:
-            refuse("deck_height", f"at least {lowest:.3f} m, else the leaning deck hits its wheels")
+            refuse("deck_height", f"at least {lowest:.3f} m, because a lower deck would hit its wheels when it leans")
 
     def _lowest_deck_height(self) -> float:
-        """Height at which the deck's underside, leaned to the stop, just clears the wheels, m."""
+        """Compute the deck height at which the deck, leaning as far as it can, just clears the wheels, m."""
         edge = min(self.deck_width, self.track + self.wheel_width) / 2
         clearance = (self.wheel_radius + edge * math.sin(self.max_lean)) / math.cos(self.max_lean)
         return self.wheel_radius + clearance + self.deck_thickness

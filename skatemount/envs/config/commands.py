@@ -15,17 +15,18 @@ ENDS = ("nearer", "front")
 
 @dataclass
 class CommandConfig:
-    """Where velocity commands come from.
+    """Settings of the velocity commands.
 
     Attributes:
-        mode: ``sampled`` from the ranges, ``board`` (toward the board, see `toward_board`) or ``zero``.
-        turn_to: Which end of the board to turn to when commanded toward it: the ``nearer``, or its ``front`` (paper).
+        mode: ``sampled`` from the ranges, ``board`` (toward the board, see `skatemount.envs.commands.toward_board`) or
+            ``zero``.
+        turn_to: End of the board to turn to when commanded toward it: the ``nearer`` end, or its ``front`` (paper).
         forward: Range of the forward velocity, m/s.
         left: Range of the velocity to the left, m/s.
         turn: Range of the turning rate, rad/s.
-        resample: Seconds until a sampled command is drawn anew.
-        standing: Share of sampled commands that are zero.
-        deadband: A sampled velocity in the plane smaller than this is set to zero, m/s.
+        resample: Time between two sampled commands, s.
+        standing: Fraction of sampled commands that are zero.
+        deadband: Horizontal speed below which a sampled velocity is set to zero, m/s.
     """
 
     mode: str
@@ -46,8 +47,8 @@ class CommandConfig:
         for name in ("forward", "left", "turn"):
             check_range(f"{where}.{name}", getattr(self, name))
         if not 0 < self.resample < math.inf:
-            raise ConfigError(f"{where}.resample={self.resample} must be above 0 and finite, in seconds")
+            raise ConfigError(f"{where}.resample={self.resample} must be above 0 s and finite")
         if not 0 <= self.standing <= 1:
-            raise ConfigError(f"{where}.standing={self.standing} must be a share between 0 and 1")
+            raise ConfigError(f"{where}.standing={self.standing} must be a fraction from 0 to 1")
         if not self.deadband >= 0:
-            raise ConfigError(f"{where}.deadband={self.deadband} must be 0 or more, in m/s")
+            raise ConfigError(f"{where}.deadband={self.deadband} must be 0 m/s or more")

@@ -1,4 +1,4 @@
-"""Settings of solver and engine."""
+"""Settings of the solver and of the physics engine."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ class SolverConfig:
     """Time stepping and MuJoCo solver settings.
 
     Attributes:
-        timestep: Physics step, seconds.
-        substeps: Physics steps a control step.
-        solver: MuJoCo's constraint solver, ``Newton``, ``CG`` or ``PGS``.
+        timestep: Length of a physics step, s.
+        substeps: Number of physics steps in a control step.
+        solver: MuJoCo's constraint solver: ``Newton``, ``CG`` or ``PGS``.
         iterations: Largest number of solver iterations.
         ls_iterations: Largest number of line-search iterations.
-        tolerance: Improvement below which the solver stops early; mujoco_warp takes 1e-6 at the least.
+        tolerance: Improvement below which the solver stops early; mujoco_warp raises it to at least 1e-6.
         cone: Friction cone, ``pyramidal`` or ``elliptic``.
         impratio: Ratio of frictional to normal constraint impedance.
     """
@@ -35,13 +35,13 @@ class SolverConfig:
 
     @property
     def control_step(self) -> float:
-        """Seconds between two actions."""
+        """Time between two actions, s."""
         return self.timestep * self.substeps
 
     def validate(self, where: str = "physics") -> None:
-        """Raise `ConfigError` for values that cannot be simulated."""
+        """Raise `ConfigError` if a setting cannot be used; ``where`` names the group in the message."""
         if not 1e-4 <= self.timestep <= 0.02:
-            raise ConfigError(f"{where}.timestep={self.timestep} must be within 0.0001 and 0.02 seconds")
+            raise ConfigError(f"{where}.timestep={self.timestep} must be from 0.0001 to 0.02 s")
         if not 0 <= self.tolerance <= 1:
             raise ConfigError(f"{where}.tolerance={self.tolerance} must be within 0 and 1")
         if not 0 < self.impratio <= 1000:
@@ -56,16 +56,16 @@ class SolverConfig:
 
 @dataclass
 class PhysicsConfig(SolverConfig):
-    """Which engine steps how many worlds.
+    """Settings of the physics engine and its worlds.
 
     Attributes:
         engine: ``cpu`` (`mujoco.batch` on threads) or ``warp`` (mujoco_warp, for a GPU).
-        num_worlds: Worlds stepped together.
-        threads: Physics threads of ``cpu``; 0 takes every core.
-        device: Of ``warp``: ``auto`` (a GPU if there is one, else the CPU), ``cuda``, ``cuda:1`` or ``cpu``.
-        max_contacts: Contacts of a world that ``warp`` has memory for, on average over the worlds; a contact sensor
-            adds up a third as many.
-        max_constraints: Constraint rows of a world that ``warp`` has memory for.
+        num_worlds: Number of worlds that are stepped together.
+        threads: Number of physics threads of ``cpu``; 0 takes every core.
+        device: Device of ``warp``: ``auto`` (a GPU if there is one, else the CPU), ``cuda``, ``cuda:1`` or ``cpu``.
+        max_contacts: Memory of ``warp`` for contacts, per world on average. A contact sensor adds up at most a third as
+            many.
+        max_constraints: Memory of ``warp`` for constraint rows, per world.
     """
 
     engine: str
@@ -76,7 +76,7 @@ class PhysicsConfig(SolverConfig):
     max_constraints: int
 
     def validate(self, where: str = "physics") -> None:
-        """Raise `ConfigError` for values that cannot be simulated."""
+        """Raise `ConfigError` if a setting cannot be used; ``where`` names the group in the message."""
         super().validate(where)
         if self.engine not in ENGINES:
             raise ConfigError(f"{where}.engine={self.engine} must be one of {', '.join(ENGINES)}")

@@ -1,4 +1,4 @@
-"""Settings of randomization and pushes."""
+"""Settings of randomized physics and pushes."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from skatemount.utils.errors import ConfigError, check_range
 
 @dataclass
 class RandomizationConfig:
-    """Ranges ``[low, high]`` that each world's physics is drawn from, uniformly unless said otherwise.
+    """Ranges ``[low, high]`` from which the physics of each world is drawn, uniformly unless stated otherwise.
 
-    What concerns masses and friction is drawn once a world, gains at each of its resets.
+    Gains are drawn at each reset of a world, the other values once for each world.
 
     Attributes:
-        friction: Factor on the sliding friction of the robot, the deck and the robot's floor alike: of two geoms
-            that touch, MuJoCo takes the larger friction.
-        trunk_mass: Added to the trunk, kg.
-        trunk_com: Added to each axis of the trunk's centre of mass, m.
+        friction: Factor on the sliding friction of the robot, the deck and the robot's floor together, because MuJoCo
+            uses the larger friction of two touching geoms.
+        trunk_mass: Mass added to the trunk, kg.
+        trunk_com: Offset added to each axis of the trunk's center of mass, m.
         inertia: Factor on the inertia of every robot body.
         board_mass: Factor on mass and inertia of the deck.
         truck_stiffness: Factor on the stiffness of the trucks' bushings.
-        kp: Factor on the joints' stiffness, log-uniform.
-        kd: Factor on the joints' damping, log-uniform.
-        push_interval: Seconds between two pushes; no pushes if null.
-        push_velocity: Each horizontal axis of what a push adds to the trunk's velocity, m/s.
+        kp: Factor on the position gain of all joints, log-uniform.
+        kd: Factor on the velocity gain of all joints, log-uniform.
+        push_interval: Time between two pushes, s; no pushes if null.
+        push_velocity: Velocity that a push adds to each horizontal axis of the trunk, m/s.
     """
 
     friction: list[float]
@@ -39,7 +39,7 @@ class RandomizationConfig:
     push_velocity: list[float]
 
     def validate(self, where: str = "randomization") -> None:
-        """Raise `ConfigError` for ranges that cannot be drawn from."""
+        """Raise `ConfigError` if a range cannot be drawn from; ``where`` names the group in the message."""
         additive = ("trunk_mass", "trunk_com", "push_velocity")
         for name, value in vars(self).items():
             if value is None:

@@ -15,24 +15,23 @@ class A1Config:
     """Settings of the robot.
 
     Attributes:
-        variant: Link table: "unitree" (12.453 kg, the published robot) or "isaac" (13.741 kg, the
-            one the paper trained with).
+        variant: Table of links: ``unitree`` (12.453 kg, the published robot) or ``isaac`` (13.741 kg, the robot of the
+            paper's code).
         kp: Position gain of every joint, N m/rad.
         kd: Velocity gain of every joint, N m s/rad.
         torque_limit: Largest torque T of a motor, N m.
-        speed_limit: Speed V at which a motor has no torque left, rad/s.
-        hip_inward: Default hip angle, rad; narrows the stance (right +, left -).
+        speed_limit: Speed V at which a motor's torque falls to zero, rad/s.
+        hip_inward: Default hip angle, rad; positive on the right and negative on the left, which narrows the stance.
         thigh: Default thigh angle, rad.
         calf: Default calf angle, rad.
         action_scale_hip: Joint target offset per unit of action at the hips, rad.
-        action_scale_thigh: The same at the thighs, rad.
-        action_scale_calf: The same at the calves, rad.
-        action_clip: Actions are limited to +- this before they are scaled.
+        action_scale_thigh: Joint target offset per unit of action at the thighs, rad.
+        action_scale_calf: Joint target offset per unit of action at the calves, rad.
+        action_clip: Largest absolute value of an action before it is scaled.
         joint_friction: Dry friction of every joint, N m.
         joint_damping: Viscous friction of every joint, N m s/rad.
-        armature: Rotor inertia as seen at the joint, kg m^2.
-        foot_friction: Sliding friction coefficient of the feet. MuJoCo takes the larger one of a
-            contact's two geoms.
+        armature: Rotor inertia reflected to the joint, kg m^2.
+        foot_friction: Sliding friction coefficient of the feet. MuJoCo uses the larger friction of two touching geoms.
     """
 
     variant: str
@@ -53,13 +52,13 @@ class A1Config:
     foot_friction: float
 
     def validate(self, where: str = "robot") -> None:
-        """Checks every setting.
+        """Check every setting.
 
         Args:
-            where: The name of the group, for the message.
+            where: Name of the group, for messages.
 
         Raises:
-            ConfigError: A setting is out of its range.
+            ConfigError: A setting cannot be used.
         """
         if self.variant not in links.VARIANTS:
             known = ", ".join(links.VARIANTS)

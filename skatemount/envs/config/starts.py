@@ -12,29 +12,30 @@ _MAX_TILT = 0.5
 
 @dataclass
 class StartConfig:
-    """Ranges that starts are drawn from, uniformly; each range is ``[low, high]``.
+    """Ranges ``[low, high]`` from which start states are drawn, uniformly.
 
     Attributes:
-        x: Trunk forward of the deck's centre, board frame, m.
-        y: Trunk left of the deck's centre, m.
-        both_sides: Draw the side of ``y`` anew for each start.
-        distance: Trunk from the deck's centre in the plane, m, in any direction; instead of ``x`` and ``y`` if given.
+        x: Position of the trunk in the board frame, forward of the deck's center, m.
+        y: Position of the trunk in the board frame, left of the deck's center, m.
+        both_sides: True if the sign of ``y`` is drawn for each start.
+        distance: Horizontal distance of the trunk from the deck's center, in any direction, m; null to use ``x`` and
+            ``y``.
         yaw: Heading of the trunk in the board frame, rad.
-        roll: Trunk, rad, within 0.5 of upright.
-        pitch: Trunk, rad, likewise.
-        height: Trunk above where its feet stand, m: the robot is dropped from there.
+        roll: Roll of the trunk, rad; within 0.5 of upright.
+        pitch: Pitch of the trunk, rad; within 0.5 of upright.
+        height: Height above the standing pose from which the robot is dropped, m.
         lin_vel: Each axis of the trunk's velocity, m/s.
         ang_vel: Each axis of the trunk's angular velocity, rad/s.
-        joint_pos: Added to each joint of the stance, rad.
-        joint_vel: Each joint, rad/s.
-        step_height: Deck above the robot's floor, m; the board's own height if null. Lower steps are made by raising
-            the robot's floor.
-        board_fixed: Share of the starts with the deck welded to the world, 0 to 1.
-        board_speed: Speed at which a free board rolls along its x axis at the start, m/s, in either direction; a fixed
-            one is at rest.
-        edge_margin: No foot starts nearer to the deck's edge than this, m.
+        joint_pos: Offset added to each joint of the stance, rad.
+        joint_vel: Velocity of each joint, rad/s.
+        step_height: Height of the deck above the robot's floor, m; that of the board if null. The robot's floor is
+            raised to make the step lower.
+        board_fixed: Fraction of the starts with the deck welded to the world.
+        board_speed: Speed at which a free board rolls along its x axis, in a random direction, m/s. A fixed board is at
+            rest.
+        edge_margin: Smallest distance of a foot from the deck's edge, m.
         force: Each axis of a constant force on the trunk for the whole episode, N.
-        torque: Each axis of a constant torque on the trunk, N m.
+        torque: Each axis of a constant torque on the trunk for the whole episode, N m.
     """
 
     x: list[float]
@@ -57,28 +58,26 @@ class StartConfig:
     torque: list[float]
 
     def validate(self, where: str = "start") -> None:
-        """Raise `ConfigError` for ranges that cannot be drawn from."""
+        """Raise `ConfigError` if a range cannot be drawn from; ``where`` names the group in the message."""
         for name, value in vars(self).items():
             if isinstance(value, list):
                 check_range(f"{where}.{name}", value)
         if not 0.0 <= self.board_fixed <= 1.0:
-            raise ConfigError(f"{where}.board_fixed={self.board_fixed} must be a share between 0 and 1")
+            raise ConfigError(f"{where}.board_fixed={self.board_fixed} must be a fraction from 0 to 1")
         for name in ("roll", "pitch"):
             low, high = getattr(self, name)
             if max(-low, high) > _MAX_TILT:
                 raise ConfigError(
-                    f"{where}.{name}={[low, high]} must be within -{_MAX_TILT} and {_MAX_TILT} rad: tilted farther the "
-                    "robot touches the ground with more than its feet"
+                    f"{where}.{name}={[low, high]} must be from -{_MAX_TILT} to {_MAX_TILT} rad; with a larger tilt, "
+                    "more than the robot's feet would touch the ground"
                 )
         if self.distance is not None and self.distance[0] < 0:
-            raise ConfigError(f"{where}.distance={self.distance} must be 0 or more, in metres")
+            raise ConfigError(f"{where}.distance={self.distance} must be >= 0 m")
         if self.board_speed[0] < 0:
             raise ConfigError(
-                f"{where}.board_speed={self.board_speed} must be 0 or more, in m/s: the direction is drawn besides"
+                f"{where}.board_speed={self.board_speed} must be >= 0 m/s; the direction is sampled separately"
             )
         if self.height[0] < 0:
-            raise ConfigError(
-                f"{where}.height={self.height} must be 0 or more, in metres: lower would be in the ground"
-            )
+            raise ConfigError(f"{where}.height={self.height} must be >= 0 m; the robot would start inside the ground")
         if not 0 <= self.edge_margin < math.inf:
-            raise ConfigError(f"{where}.edge_margin={self.edge_margin} must be 0 or more and finite, in metres")
+            raise ConfigError(f"{where}.edge_margin={self.edge_margin} must be >= 0 m and finite")

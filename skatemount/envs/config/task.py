@@ -1,4 +1,4 @@
-"""Settings of the task: everything a `MountTask` is built from."""
+"""Settings of the task, from which a `MountTask` is built."""
 
 from __future__ import annotations
 
@@ -20,14 +20,25 @@ from skatemount.utils.errors import ConfigError
 
 CRITERIA = ("mount", "gait")
 HOLD = 1.0
-"""How long the robot must have stood on the board at the end of an episode, s."""
+"""Time that the robot must have been mounted at the end of an episode, s."""
 
 
 def _terms(kind: type, table: dict[str, Any], where: str) -> dict[str, Any]:
-    """A table's rows as dataclasses.
+    """Convert the rows of a table to dataclasses.
 
-    The tables are declared with rows of any type: Hydra could not add a row (`reward.still.weight=1`) to a table of
-    dataclasses.
+    The settings declare a table as a dict of any values, because Hydra could not add a row (`reward.still.weight=1`) to
+    a dict of dataclasses.
+
+    Args:
+        kind: Dataclass of a row.
+        table: Rows by name of the term.
+        where: Name of the table in the configuration, for messages.
+
+    Returns:
+        Dataclasses by name of the term.
+
+    Raises:
+        ConfigError: A row has an unknown key or a value of the wrong type.
     """
     rows = {}
     for name, row in table.items():
@@ -36,7 +47,7 @@ def _terms(kind: type, table: dict[str, Any], where: str) -> dict[str, Any]:
             continue
         known = [f.name for f in fields(kind)]
         if row is not None and not isinstance(row, dict):
-            raise ConfigError(f"{where}.{name}={row} must be a term's settings, of {', '.join(known)}")
+            raise ConfigError(f"{where}.{name}={row} must be the settings of a term: {', '.join(known)}")
         for key, value in (row or {}).items():
             if key not in known:
                 raise ConfigError(f"{where}.{name}.{key}={value} is not a setting of a term; known: {', '.join(known)}")
@@ -50,13 +61,13 @@ def _terms(kind: type, table: dict[str, Any], where: str) -> dict[str, Any]:
 
 @dataclass
 class ObservationConfig:
-    """What is seen.
+    """Settings of the observations.
 
     Attributes:
-        policy: `ObservationTerm` by name, of the actor's observation, in order.
-        privileged: Likewise, what only the critic sees besides.
-        noise: Whether the policy's terms get their noise.
-        history_length: Frames of each of the policy's terms that does not say how many: the present one and those of
+        policy: `ObservationTerm` by name, in the order of the policy's observation.
+        privileged: `ObservationTerm` by name, in the order of the values that only the critic gets in addition.
+        noise: True if noise is added to the policy's terms.
+        history_length: Number of frames of the policy's terms that do not set their own: the present frame and those of
             the control steps before it.
     """
 
@@ -75,18 +86,17 @@ class TaskConfig:
     """Settings of the task.
 
     Attributes:
-        episode_length: Seconds.
-        success: What an episode must achieve: ``mount`` (stand on the board at its end) or ``gait`` (follow the
-            command).
-        robot: The A1.
-        board: The skateboard.
-        physics: Time step, solver, engine.
-        observation: What is seen.
+        episode_length: Time limit of an episode, s.
+        success: Success criterion: ``mount`` (be mounted at the end of the episode) or ``gait`` (follow the command).
+        robot: Settings of the A1.
+        board: Settings of the skateboard.
+        physics: Settings of time stepping, solver and engine.
+        observation: Settings of the observations.
         reward: `RewardTerm` by name.
         termination: `TerminationTerm` by name.
-        start: Start states.
-        command: Velocity commands.
-        randomization: Randomised physics and pushes.
+        start: Ranges of the start states.
+        command: Settings of the velocity commands.
+        randomization: Ranges of randomized physics and pushes.
     """
 
     episode_length: float
@@ -108,14 +118,14 @@ class TaskConfig:
     def validate(self) -> None:
         """Raise `ConfigError` for the first setting that cannot be used."""
         if not 0 < self.episode_length < math.inf:
-            raise ConfigError(f"episode_length={self.episode_length} must be above 0 seconds, and finite")
+            raise ConfigError(f"episode_length={self.episode_length} must be above 0 s and finite")
         if self.success not in CRITERIA:
             raise ConfigError(f"success={self.success} must be one of {', '.join(CRITERIA)}")
         for name, term in self.observation.privileged.items():
             if term.history_length not in (None, 1):
                 raise ConfigError(
-                    f"observation.privileged.{name}.history_length={term.history_length} must be null: only what the "
-                    "policy sees has a history"
+                    f"observation.privileged.{name}.history_length={term.history_length} must be null; only terms of "
+                    "the policy have a history"
                 )
         for part in ("robot", "board", "physics", "start", "command", "randomization"):
             getattr(self, part).validate(part)

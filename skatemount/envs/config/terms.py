@@ -1,4 +1,4 @@
-"""Settings of one row in a table of terms."""
+"""Settings of the rows in the tables of terms."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ class ObservationTerm:
     """One row of the observation table.
 
     Attributes:
-        scale: Factor applied last.
-        noise: Half width of the uniform noise added first, in the term's own unit.
-        clip: Bound on the absolute value, applied after the noise; none if null.
-        history_length: Frames of it in the vector, the present one included, oldest first; null takes the table's.
+        scale: Factor that is applied last.
+        noise: Half width of the uniform noise that is added first, in the unit of the term.
+        clip: Bound on the absolute value, applied after the noise; no bound if null.
+        history_length: Number of frames in the vector, the present one included, oldest first; that of the table if
+            null.
         params: Parameters of the term's function.
     """
 
@@ -30,10 +31,11 @@ class RewardTerm:
     """One row of the reward table.
 
     Attributes:
-        weight: 0 or more. Per second, or, for an event, each time it happens. Whether the term is added or
-            subtracted is a property of the term.
-        upright: Multiply by how upright the trunk is, as the paper's code does on most of its terms.
-        clip: Largest value of the term before it is weighed; none if null.
+        weight: Size of the weight, 0 or more: per second, or for each occurrence of an event. The term itself is a
+            reward, which is added, or a penalty, which is subtracted.
+        upright: True if the term is multiplied by `skatemount.envs.terms.upright`, as most terms of the paper's code
+            are.
+        clip: Largest value of the term before it is weighted; no bound if null.
         params: Parameters of the term's function.
     """
 
@@ -48,7 +50,7 @@ class TerminationTerm:
     """One row of the termination table.
 
     Attributes:
-        enabled: Whether it counts.
+        enabled: True if the term can end an episode.
         params: Parameters of the term's function.
     """
 

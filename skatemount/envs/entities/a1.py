@@ -27,17 +27,17 @@ _CALF_RADIUS = 0.01
 class A1(composer.Entity):
     """A Unitree A1 whose controls are joint position targets.
 
-    The root frame is the trunk's: its centre, x forward, z up. Joints, actuators and feet are in
-    the order FR, FL, RR, RL (x hip, thigh, calf). Each actuator is a position controller in
-    front of a DC motor. With target u, angle q and speed v its torque is, for |v| <= V,
+    The root frame is the trunk frame: origin at the trunk's center, x forward, z up. Joints, actuators and feet are in
+    the order FR, FL, RR, RL (x hip, thigh, calf). Each actuator is a position controller in front of a DC motor. With
+    target u, angle q and speed v its torque is, for |v| <= V,
 
         clip(kp (u - q) - kd v,  max(-T, T (-1 - v/V)),  min(T, T (1 - v/V)))
 
-    where T is `torque_limit` and V `speed_limit`. Beyond V the line goes on: the motor brakes,
-    as its supply voltage is below the voltage it generates. There is no actuator state.
+    where T is `torque_limit` and V is `speed_limit`. The line continues beyond V, where the motor brakes because its
+    supply voltage is below the voltage that it generates. There is no actuator state.
 
-    The compiled model keeps the gains of actuator i in `actuator_gainprm[i, KP_INDEX]` and
-    `actuator_gainprm[i, KD_INDEX]`, in the units of `A1Config`; `scale_gains` changes them.
+    The compiled model keeps the gains of actuator i in `actuator_gainprm[i, KP_INDEX]` and `actuator_gainprm[i,
+    KD_INDEX]`, in the units of `A1Config`; `scale_gains` changes them.
     """
 
     def _build(self, config: A1Config, name: str = "a1") -> None:
@@ -67,7 +67,7 @@ class A1(composer.Entity):
             damping=config.joint_damping,
             armature=config.armature,
         )
-        # Contact bits: the robot meets floors and boards (which ask for bit 1), never itself.
+        # Contact bits: the robot collides with floors and boards, whose conaffinity is bit 1, but not with itself.
         collision = default.add("default", dclass="collision")
         collision.geom.set_attributes(contype=1, conaffinity=0, condim=3, group=3, rgba=(0.9, 0.3, 0.2, 0.3))
         foot = collision.add("default", dclass="foot")
@@ -75,8 +75,8 @@ class A1(composer.Entity):
         visual = default.add("default", dclass="visual")
         visual.geom.set_attributes(contype=0, conaffinity=0, group=2, mass=0)
         default.site.set_attributes(type="sphere", size=(0.005,), group=4)
-        # One volt per rad/s makes the motor constant 1 N m/A, so the resistance that gives the
-        # stall torque T at V volts is V/T. No activation: every time constant (dynprm) is zero.
+        # One volt per rad/s makes the motor constant 1 N m/A, so the resistance that gives the stall torque T at V
+        # volts is V/T. No activation: every time constant (dynprm) is zero.
         volts = config.speed_limit
         default.general.set_attributes(
             dyntype="dcmotor",
@@ -108,8 +108,8 @@ class A1(composer.Entity):
         calf = self._add_link(thigh, leg, "calf", knee, links.calf_inertial())
         self._add_capsule(hip, _HIP_RADIUS, (0, left * 0.03, 0), (0, left * 0.08, 0))
         self._add_capsule(thigh, _THIGH_RADIUS, (0, 0, -0.02), (0, 0, 0.01 - kin.thigh_length))
-        # The shank ends a foot radius above the foot's ball, so that only the ball can touch a
-        # floor whatever the leg's pose while the shank is above the horizontal.
+        # The shank ends a foot radius above the foot's sphere. Only the sphere can then touch a floor in any pose in
+        # which the shank is above the horizontal.
         ankle = kin.calf_length - kin.foot_radius - _CALF_RADIUS
         self._add_capsule(calf, _CALF_RADIUS, (0, 0, -0.01), (0, 0, -ankle))
 
@@ -153,12 +153,12 @@ class A1(composer.Entity):
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
-        """The robot's MJCF model; its world body is the trunk's frame."""
+        """The robot's MJCF model; its world body is the trunk frame."""
         return self._mjcf_root
 
     @property
     def config(self) -> A1Config:
-        """The settings the robot was built with."""
+        """The settings of the robot."""
         return self._config
 
     @property
@@ -173,12 +173,12 @@ class A1(composer.Entity):
 
     @property
     def actuators(self) -> tuple[mjcf.Element, ...]:
-        """The 12 actuators; a control is a joint position target in rad."""
+        """The 12 actuators; their controls are joint position targets, rad."""
         return tuple(self._actuators)
 
     @property
     def feet(self) -> tuple[mjcf.Element, ...]:
-        """Sites at the centres of the four feet."""
+        """Sites at the centers of the four feet."""
         return tuple(self._feet)
 
     @property
@@ -188,7 +188,7 @@ class A1(composer.Entity):
 
     @property
     def body_geoms(self) -> dict[str, list[mjcf.Element]]:
-        """Collision geoms other than the feet, by body: trunk, FR_hip, FR_thigh, FR_calf, ..."""
+        """Collision geoms other than the feet by name of the body: trunk, FR_hip, FR_thigh, FR_calf, ..."""
         return {body: list(geoms) for body, geoms in self._body_geoms.items()}
 
     @property
@@ -198,7 +198,7 @@ class A1(composer.Entity):
 
     @property
     def default_pose(self) -> np.ndarray:
-        """Joint angles that a zero action asks for, rad, shape (12,)."""
+        """Joint angles of a zero action, rad, shape (12,)."""
         config = self._config
         left = [links.leg_signs(leg)[1] for leg in links.LEGS]
         return np.array([angle for s in left for angle in (-s * config.hip_inward, config.thigh, config.calf)])
@@ -222,9 +222,7 @@ class A1(composer.Entity):
 
 
 def scale_gains(gainprm: Any, kp_scale: Any, kd_scale: Any) -> Any:
-    """Scales the position and velocity gains of the robot's actuators.
-
-    Works on NumPy arrays and torch tensors, for one model or a batch of worlds.
+    """Scale the position and velocity gains of the robot's actuators, in a NumPy array or a torch tensor.
 
     Args:
         gainprm: `actuator_gainprm` of the robot's actuators, shape (..., 12, 10).
@@ -232,7 +230,7 @@ def scale_gains(gainprm: Any, kp_scale: Any, kd_scale: Any) -> Any:
         kd_scale: Factor of the velocity gain, broadcastable to (..., 12).
 
     Returns:
-        A new array of the shape of `gainprm`; torque limit and torque-speed line are unchanged.
+        A new array of the shape of `gainprm`. Torque limit and torque-speed line are unchanged.
     """
     scaled = gainprm.clone() if hasattr(gainprm, "clone") else np.array(gainprm)
     scaled[..., KP_INDEX] *= kp_scale

@@ -1,7 +1,7 @@
-"""Unitree A1 in numbers: link inertias, joint frames and ranges, for each leg and variant.
+"""The numbers of the Unitree A1: link inertias, joint frames and joint ranges, for each leg and variant.
 
-The numbers are those of the manufacturer's published robot description. Every leg is given by the
-front-right one (hip) or the right ones (thigh) and two signs: `front` and `left`, each +1 or -1.
+They come from the manufacturer's published robot description. The numbers of one leg and two signs give all legs:
+`front` is +1 in front and -1 behind, `left` is +1 on the left and -1 on the right.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ JOINT_AXES = {"hip": (1.0, 0.0, 0.0), "thigh": (0.0, 1.0, 0.0), "calf": (0.0, 1.
 
 @dataclass(frozen=True)
 class LegKinematics:
-    """Dimensions of a leg in metres; signs of x and y come from `leg_signs`.
+    """Dimensions of a leg, m; `leg_signs` gives the signs of x and y.
 
-    With s = +1 on the left, -1 on the right, f = +1 in front, -1 behind, the centre of a foot in
-    the trunk frame is `[f hip_x, s hip_y, 0] + Rx(hip) ([0, s thigh_y, 0] + Ry(thigh)
-    ([0, 0, -thigh_length] + Ry(calf) [0, 0, -calf_length]))`.
+    With f and s the signs of a leg (front and left), the center of its foot in the trunk frame is
+
+        [f hip_x, s hip_y, 0]
+        + Rx(hip) ([0, s thigh_y, 0] + Ry(thigh) ([0, 0, -thigh_length] + Ry(calf) [0, 0, -calf_length]))
     """
 
     hip_x: float
@@ -41,14 +42,14 @@ class LegKinematics:
 
 @dataclass(frozen=True)
 class Inertial:
-    """A link's mass (kg), centre of mass (m) and inertia about it (kg m^2), in the link's frame."""
+    """A link's mass (kg), center of mass (m) and inertia about it (kg m^2), in the link's frame."""
 
     mass: float
     com: np.ndarray
     inertia: np.ndarray
 
     def mjcf(self) -> dict[str, object]:
-        """Attributes of an MJCF `inertial` element."""
+        """Return the attributes of an MJCF `inertial` element."""
         i = self.inertia
         full = (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2])
         return {"mass": self.mass, "pos": self.com, "fullinertia": full}
@@ -56,7 +57,7 @@ class Inertial:
 
 @dataclass(frozen=True)
 class Variant:
-    """What differs between the variants: trunk mass (kg) and the leg's frames."""
+    """The numbers in which the variants differ: trunk mass (kg) and dimensions of the legs."""
 
     trunk_mass: float
     kinematics: LegKinematics
@@ -64,24 +65,24 @@ class Variant:
 
 VARIANTS = {
     "unitree": Variant(4.713, LegKinematics(hip_x=0.183, hip_y=0.047, thigh_y=0.08505)),
-    # 6 kg of trunk and the 1 g body of its inertial sensor.
+    # A trunk of 6 kg, and the 1 g body of its inertial sensor.
     "isaac": Variant(6.001, LegKinematics(hip_x=0.1805, hip_y=0.047, thigh_y=0.0838)),
 }
 
 
 def leg_signs(leg: str) -> tuple[float, float]:
-    """Signs (front, left) of a leg: front is +1 for F, -1 for R; left is +1 for L, -1 for R."""
+    """Return the signs of a leg: front is +1 for F and -1 for R, left is +1 for L and -1 for R."""
     return (1.0 if leg[0] == "F" else -1.0), (1.0 if leg[1] == "L" else -1.0)
 
 
 def trunk_inertial(variant: str) -> Inertial:
-    """Inertial of the trunk; the variants share centre of mass and inertia."""
+    """Return the inertial of the trunk; the variants share center of mass and inertia."""
     inertia = _symmetric(0.0158533, 0.0377999, 0.0456542, -3.66e-5, -6.11e-5, -2.75e-5)
     return Inertial(VARIANTS[variant].trunk_mass, np.array([0.0, 0.0041, -0.0005]), inertia)
 
 
 def hip_inertial(leg: str) -> Inertial:
-    """Inertial of a hip link (the thigh's motor is inside)."""
+    """Return the inertial of a hip link, which contains the thigh's motor."""
     front, left = leg_signs(leg)
     return Inertial(
         0.696,
@@ -98,7 +99,7 @@ def hip_inertial(leg: str) -> Inertial:
 
 
 def thigh_inertial(leg: str) -> Inertial:
-    """Inertial of a thigh link (the calf's motor is at its top, on the inner side)."""
+    """Return the inertial of a thigh link, which has the calf's motor at its top, on the inner side."""
     _, left = leg_signs(leg)
     return Inertial(
         1.013,
@@ -108,7 +109,7 @@ def thigh_inertial(leg: str) -> Inertial:
 
 
 def calf_inertial() -> Inertial:
-    """Inertial of a calf with its foot, which is one body here; the same for all legs."""
+    """Return the inertial of a calf and its foot, which are one body here; all legs share it."""
     calf = Inertial(
         0.166,
         np.array([0.006435, 0.0, -0.107388]),
@@ -119,7 +120,7 @@ def calf_inertial() -> Inertial:
 
 
 def merge(first: Inertial, second: Inertial) -> Inertial:
-    """The inertial of two links rigidly joined, both given in one frame (parallel-axis theorem)."""
+    """Combine two rigidly joined links, given in one frame, by the parallel-axis theorem."""
     mass = first.mass + second.mass
     com = (first.mass * first.com + second.mass * second.com) / mass
     inertia = np.zeros((3, 3))

@@ -13,28 +13,26 @@ _IMAGE_HEIGHT = 1080
 class MountArena(composer.Arena):
     """A wide floor under an open sky.
 
-    There are two planes in the same place. ``floor``, the one to be seen, carries the board only.
-    ``robot_ground``, invisible and on the mocap body ``robot_floor``, carries the robot only:
-    raised by some centimetres it lowers the step up to the deck, in each world of a batch on its
-    own and without another model.
+    There are two planes in the same place. ``floor`` is visible and carries the board only. ``robot_ground`` is
+    invisible and carries the robot only. It belongs to the mocap body ``robot_floor``: raising that body lowers the
+    step up to the deck, for each world of a batch and with the same model.
     """
 
     def _build(self, name: str = "arena", floor_friction: float = 0.8) -> None:
-        """Builds the arena.
+        """Build the arena.
 
         Args:
-            name: of the model.
-            floor_friction: sliding friction of both planes; of two touching geoms MuJoCo uses the
-                larger friction.
+            name: Name of the model.
+            floor_friction: Sliding friction of both planes. MuJoCo uses the larger friction of two touching geoms.
 
         Raises:
-            ConfigError: if the friction is not a positive number.
+            ConfigError: The friction is not a positive number.
         """
         if not 0 < floor_friction < float("inf"):
             raise ConfigError(f"floor_friction={floor_friction!r} must be greater than 0")
         super()._build(name)
         root = self._mjcf_root
-        # Composer's empty arena asks for noslip iterations: costly, and not every engine has them.
+        # Composer's empty arena asks for noslip iterations, which are slow and which mujoco_warp does not have.
         del root.option.noslip_iterations
         del root.option.noslip_tolerance
         self._add_looks(root)
@@ -97,8 +95,8 @@ class MountArena(composer.Arena):
             specular=0.1,
             shininess=0.1,
         )
-        # A high spot light rather than a directional one: at the border of a directional light's
-        # shadow map an infinite plane shows speckles.
+        # A high spot light rather than a directional one: at the border of a directional light's shadow map an infinite
+        # plane shows speckles.
         root.worldbody.add(
             "light",
             name="sun",

@@ -13,21 +13,21 @@ from skatemount.envs.entities import board_visuals
 __all__ = ["WELD_SOLIMP", "WELD_SOLREF", "Skateboard", "SkateboardConfig"]
 
 WELD_SOLREF = (0.02, 1.0)
-"""solref of a weld that holds the deck: the shortest time constant that 10 ms steps allow."""
+"""solref of the weld that fixes the deck: the shortest time constant that is stable with steps of 10 ms."""
 
 WELD_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)
-"""solimp of that weld: 120 N off the centre move the deck by less than 1 mm and 0.2 degrees."""
+"""solimp of that weld: a force of 120 N off the center moves the deck by less than 1 mm and 0.2 degrees."""
 
 _BOARD_BIT = 2
 _ROBOT_BIT = 1
 _COLLISION_GROUP = 3
-# Stiff tyres: with MuJoCo's default the board would roll on its tyres as much as on its bushings.
-# The weight makes the wheel's values count and not its average with the floor's.
+# Stiff tires: with MuJoCo's defaults the board would lean on its tires as much as on its bushings. The large solmix
+# makes MuJoCo use the wheel's values in place of an average with the floor's.
 _WHEEL_SOLREF = (0.02, 1.0)
 _WHEEL_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)
 _WHEEL_SOLMIX = 1000.0
-# MuJoCo scales a stop's force by the inertia of its own joint, here a truck's few g m2, while the
-# load on it is a robot's. With the default impedance the stop is hardly stiffer than the bushing.
+# MuJoCo scales the force of a joint limit by the joint's inertia, which is a few g m2 for a truck, but a robot's weight
+# loads this one. With the default impedance the limit would hardly be stiffer than the bushing.
 _STOP_SOLREF = (0.02, 1.0)
 _STOP_SOLIMP = (0.99, 0.9995, 0.001, 0.5, 2.0)
 
@@ -35,24 +35,23 @@ _STOP_SOLIMP = (0.99, 0.9995, 0.001, 0.5, 2.0)
 class Skateboard(composer.Entity):
     """The board: a flat box to stand on, two trucks on tilted axes, four wheels.
 
-    The root frame is the board frame: origin at the centre of the deck's top, x forward, z up.
-    Attached with ``arena.add_free_entity(board)`` and put at ``(0, 0, config.deck_height)``, its
-    wheels touch the floor. A wheel touches with a sphere of its radius in its middle: one contact,
-    where a cylinder has up to four.
+    The root frame is the board frame: origin at the center of the deck's top, x forward, z up. The wheels touch the
+    floor if the board is attached with ``arena.add_free_entity(board)`` and put at ``(0, 0, config.deck_height)``. Each
+    wheel collides as a sphere in its middle, which makes one contact where a cylinder would make up to four.
 
-    Feet meet the deck with the larger one of the two geoms' friction coefficients (MuJoCo's rule
-    while neither has a priority), so ``deck_friction``, the grip tape's, is a lower bound.
+    A contact between foot and deck has the larger one of the two geoms' friction coefficients (MuJoCo's rule for equal
+    priorities), so ``deck_friction``, that of the grip tape, is a lower bound.
     """
 
     def _build(self, config: SkateboardConfig, name: str = "board") -> None:
-        """Builds the board.
+        """Build the board.
 
         Args:
-            config: its settings.
-            name: of the model.
+            config: Settings of the board.
+            name: Name of the model, and of the settings in messages.
 
         Raises:
-            ConfigError: if a setting cannot be used.
+            ConfigError: A setting cannot be used.
         """
         self._config = config
         self._config.validate(name)
@@ -83,17 +82,17 @@ class Skateboard(composer.Entity):
 
     @property
     def config(self) -> SkateboardConfig:
-        """What the board was built from."""
+        """The settings of the board."""
         return self._config
 
     @property
     def deck_site(self) -> mjcf.Element:
-        """Site of the board frame."""
+        """Site at the origin of the board frame."""
         return self._deck_site
 
     @property
     def deck_geom(self) -> mjcf.Element:
-        """The box that feet stand on, the only collision geom of the deck."""
+        """The box that feet stand on, which is the only collision geom of the deck."""
         return self._deck_geom
 
     @property
@@ -128,10 +127,17 @@ class Skateboard(composer.Entity):
         board_visuals.add_deck(self._root, c)
 
     def _add_truck(self, end: str, forward: int) -> mjcf.Element:
-        """A truck: pivot at axle height on the centre line, axis leaning outboard.
+        """Add a truck with its pivot at axle height on the center line and its axis leaning outboard.
 
-        With the front axis (sin, 0, cos) and the rear one (-sin, 0, cos) a lean to the right turns
-        the front axle to the right and the rear one to the left.
+        The front axis is (sin, 0, cos) and the rear one (-sin, 0, cos) of the truck angle, so a lean to the right turns
+        the front axle to the right and the rear axle to the left.
+
+        Args:
+            end: ``front`` or ``rear``.
+            forward: 1 for the front truck, -1 for the rear one.
+
+        Returns:
+            The body of the truck.
         """
         c = self._config
         theta = math.radians(c.truck_angle)
@@ -140,7 +146,7 @@ class Skateboard(composer.Entity):
         board_visuals.add_truck_mount(self._root, c, pivot, axis)
 
         truck = self._root.worldbody.add("body", name=f"{end}_truck", pos=pivot)
-        # Inertia of the hanger, a rod between the wheels.
+        # The hanger has the inertia of a rod between the wheels.
         across = c.truck_mass * (c.track - c.wheel_width) ** 2 / 12
         around = c.truck_mass * (0.36 * c.wheel_radius) ** 2 / 2
         inertia = (across, around, across)
@@ -173,8 +179,8 @@ class Skateboard(composer.Entity):
         across = c.wheel_mass * (3 * c.wheel_radius**2 + c.wheel_width**2) / 12
         inertia = (across, spin, across)
         wheel.add("inertial", pos=(0, 0, 0), mass=c.wheel_mass, diaginertia=inertia)
-        # All that a default could bring along is set here: a robot joint's armature or friction
-        # would outweigh the wheel's many times.
+        # Every attribute that a default class could set is set here, because the armature or friction of a robot's
+        # joint would be many times that of the wheel.
         self._wheel_joints.append(
             wheel.add(
                 "joint",

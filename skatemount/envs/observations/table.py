@@ -146,8 +146,8 @@ class ObservationTable:
             sim: The state.
             episode: The episodes.
             generator: Source of the noise; no noise if None.
-            previous: ``[N, size]``, the vector of the previous control step. None at the start of an episode, where
-                the first frame fills the whole history.
+            previous: ``[N, size]``, the vector of the previous control step. None at the start of an episode, where the
+                first frame fills the whole history.
 
         Returns:
             ``[N, size]`` float32.

@@ -192,13 +192,13 @@ def feet_base(sim: SimState, episode: EpisodeState, context: TaskContext) -> Ten
 
 @observation(12, None)
 def feet_base_left_first(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return the centers of the feet in the trunk frame, in the order FL, FR, RL, RR of the paper's code, ``[N, 12]`` m."""
+    """Return the centers of the feet in the trunk frame, ``[N, 12]`` m, in the order FL, FR, RL, RR (paper's code)."""
     return sim.foot_pos_base[:, [1, 0, 3, 2]].flatten(1)
 
 
 @observation(12, "feet")
 def feet_board(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return the centers of the feet in the board frame, its x axis toward the end that the trunk faces, ``[N, 12]`` m."""
+    """Return the centers of the feet in the board frame, ``[N, 12]`` m; x points to the end that the trunk faces."""
     return (sim.foot_pos_board * _facing_signs(episode)).flatten(1)
 
 
@@ -221,13 +221,13 @@ def off_time(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tens
 
 @observation(4, "flags")
 def deck_touch(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return 1 for each foot with any force against the deck, else 0, ``[N, 4]`` (paper's code, without a threshold)."""
+    """Return 1 for each foot with any force against the deck, else 0, ``[N, 4]`` (paper's code, no threshold)."""
     return (sim.foot_deck_force != 0).any(-1).to(sim.base_pos.dtype)
 
 
 @observation(8, "flags_twice")
 def foot_forces(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return the contact forces of the four feet with the deck, then with anything else, ``[N, 8]`` in units of 100 N."""
+    """Return the contact force of each foot with the deck, then with anything else, ``[N, 8]`` in units of 100 N."""
     forces = torch.cat((sim.foot_deck_force, sim.foot_other_force), 1)
     return torch.linalg.vector_norm(forces, dim=-1) * 0.01
 
@@ -247,13 +247,13 @@ def board_velocity(sim: SimState, episode: EpisodeState, context: TaskContext) -
 
 @observation(2, "negative")
 def truck_angle(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return the angles of the trucks about their axes, ``[N, 2]`` rad: first the one at the end that the trunk faces."""
+    """Return the angles of the trucks about their axes, ``[N, 2]`` rad; the end that the trunk faces comes first."""
     return torch.where(episode.board_direction > 0, sim.truck_angle, sim.truck_angle.flip(-1))
 
 
 @observation(3, "scalars")
 def heights(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return the heights of trunk and deck above the robot's floor, m, and 1 if the board is welded, else 0, ``[N, 3]``."""
+    """Return the heights of trunk and deck above the robot's floor (m), and 1 if the board is welded, ``[N, 3]``."""
     fixed = sim.board_fixed.to(sim.base_pos.dtype)
     base, deck = sim.base_pos[:, 2] - sim.ground_height, sim.board_pos[:, 2] - sim.ground_height
     return torch.stack((base, deck, fixed), 1)

@@ -1,4 +1,4 @@
-"""Engines that step a batch of worlds."""
+"""Physics engines that step a batch of worlds."""
 
 from skatemount.envs.physics.base import Physics
 from skatemount.envs.physics.cpu import CpuPhysics

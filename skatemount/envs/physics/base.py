@@ -1,4 +1,4 @@
-"""The contract between the environment and an engine."""
+"""The interface between the environment and a physics engine."""
 
 from __future__ import annotations
 
@@ -15,26 +15,30 @@ from skatemount.envs.state import SimState
 
 
 class Physics(Protocol):
-    """N worlds of one scene.
+    """An engine that steps N worlds of one scene.
 
-    Tensors are float32 unless said otherwise, and of the whole batch, but for what begins anew in some worlds.
+    Tensors are float32 unless the description says otherwise.
+
+    Attributes:
+        num_worlds: Number of worlds, N.
+        device: Device of the states, and of the tensors that the methods take.
+        model: The compiled scene with its nominal values.
+        index: Ids and slices of the scene.
+        description: The engine and its device or threads, in a few words.
     """
 
     num_worlds: int
     device: torch.device
-    """Where states are, and tensors that it is given are expected."""
     model: mujoco.MjModel
-    """The scene as compiled; never randomised."""
     index: SceneIndex
     description: str
-    """What steps the worlds, in a few words."""
 
     def step(self, targets: Tensor, substeps: int) -> None:
         """Advance every world by ``substeps`` physics steps.
 
         Args:
             targets: ``[N, 12]`` joint position targets, rad.
-            substeps: Physics steps.
+            substeps: Number of physics steps.
         """
         ...
 
@@ -43,7 +47,7 @@ class Physics(Protocol):
 
         Args:
             mask: ``[N]`` bool.
-            start: One start for each of them, in order.
+            start: One start state for each chosen world, in order.
         """
         ...
 
@@ -52,47 +56,54 @@ class Physics(Protocol):
 
         Args:
             mask: ``[N]`` bool.
-            velocity: ``[N, 3]`` world frame, m/s.
+            velocity: ``[N, 3]`` world axes, m/s.
         """
         ...
 
     def state(self, rows: Tensor | None = None) -> SimState:
-        """The state of every world; the tensors are the caller's.
+        """Return the state of every world, or of some.
 
         Args:
-            rows: ``[K]`` int64, only these worlds.
+            rows: ``[K]`` int64, the worlds to return; all if None.
+
+        Returns:
+            ``[N]`` or ``[K]`` states, whose tensors share no memory with the engine.
         """
         ...
 
     def field(self, name: str) -> Tensor:
-        """A model field with a value for each world, ``[N, ...]``; writes take effect at the next step or reset."""
+        """Return the ``[N, ...]`` values of a model field, which writes change from the next step or reset on."""
         ...
 
     def refresh_constants(self) -> None:
-        """Recompute what the model derives from masses and inertias after `field` changed them."""
+        """Recompute the model constants that depend on masses and inertias, after a change of these through `field`."""
         ...
 
     def diverged(self) -> Tensor:
-        """``[N]`` bool, worlds whose physics failed (not finite or out of bounds) since their last reset."""
+        """Return ``[N]`` bool: worlds whose physics failed (not finite or out of bounds) since their last reset."""
         ...
 
     def render_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """One world's pose with everything there is to see, to render it."""
+        """Return a model with visuals, and data with one world's pose, to render it.
+
+        Args:
+            i: Index of the world.
+        """
         ...
 
     def overflowed(self) -> str | None:
-        """What went wrong and what to raise if a buffer was too small and contacts were lost since this was last asked.
+        """Return an error message if contacts were dropped since the last call, else None.
 
-        None if all is well.
+        Contacts are dropped when a buffer is too small. The message names the setting to raise.
         """
         ...
 
     def raw_state(self) -> Any:
-        """A copy of all that integration goes on from, for `set_raw_state`."""
+        """Return a copy of every world's full integration state, for `set_raw_state`."""
         ...
 
     def set_raw_state(self, state: Any) -> None:
-        """Put every world back to where it was, and compute everything that depends on it."""
+        """Restore a state from `raw_state` and compute everything that depends on it."""
         ...
 
     def close(self) -> None:
@@ -102,21 +113,21 @@ class Physics(Protocol):
 
 @dataclass
 class StartState:
-    """What an engine needs to start a world.
+    """Start states of N worlds. The board starts level at the origin.
 
     Attributes:
-        base_pos: ``[N, 3]`` trunk centre, world, m.
-        base_quat: ``[N, 4]``.
+        base_pos: ``[N, 3]`` trunk center, world, m.
+        base_quat: ``[N, 4]`` rotation from the trunk frame to the world, ``w x y z``.
         base_lin_vel: ``[N, 3]`` world, m/s.
         base_ang_vel: ``[N, 3]`` trunk frame, rad/s.
         joint_pos: ``[N, 12]`` rad.
         joint_vel: ``[N, 12]`` rad/s.
         ground_height: ``[N]`` height of the robot's floor, m.
-        board_fixed: ``[N]`` bool.
+        board_fixed: ``[N]`` bool, the deck is welded to the world.
         board_speed: ``[N]`` speed of the rolling board along its x axis, m/s; 0 where it is fixed.
         force: ``[N, 3]`` constant force on the trunk for the episode, world, N.
         torque: ``[N, 3]`` constant torque on the trunk, world, N m.
-        bin: ``[N]`` int64, the part of a curriculum that the start comes from, -1 for none; no engine looks at it.
+        bin: ``[N]`` int64, the curriculum bin of the start state, -1 for none. Engines ignore it.
     """
 
     base_pos: Tensor
@@ -133,7 +144,7 @@ class StartState:
     bin: Tensor
 
     def __getitem__(self, rows: Tensor | slice) -> StartState:
-        """The starts of some rows."""
+        """Return the start states of some rows."""
         return StartState(**{name: value[rows] for name, value in vars(self).items()})
 
     def __len__(self) -> int:
@@ -141,29 +152,50 @@ class StartState:
 
     @staticmethod
     def cat(parts: list[StartState]) -> StartState:
-        """Join batches of starts."""
+        """Concatenate batches of start states."""
         return StartState(**{name: torch.cat([getattr(p, name) for p in parts]) for name in vars(parts[0])})
 
     @staticmethod
     def where(mask: Tensor, first: StartState, second: StartState) -> StartState:
-        """The first's rows where the ``[N]`` mask is true, the second's elsewhere."""
+        """Select rows from two batches.
 
-        def choose(a: Tensor, b: Tensor) -> Tensor:
-            return torch.where(mask.view(-1, *[1] * (a.dim() - 1)), a, b)
+        Args:
+            mask: ``[N]`` bool.
+            first: ``[N]`` start states, taken where the mask is true.
+            second: ``[N]`` start states, taken where it is false.
+        """
+        return StartState(
+            **{name: where_rows(mask, value, getattr(second, name)) for name, value in vars(first).items()}
+        )
 
-        return StartState(**{name: choose(value, getattr(second, name)) for name, value in vars(first).items()})
+
+def where_rows(mask: Tensor, first: Tensor, second: Tensor) -> Tensor:
+    """Select rows from two tensors.
+
+    Args:
+        mask: ``[N]`` bool.
+        first: ``[N, ...]``, or a shape that broadcasts to it, taken where the mask is true.
+        second: ``[N, ...]``, taken where it is false.
+
+    Returns:
+        ``[N, ...]``.
+    """
+    return torch.where(mask.view(-1, *[1] * (second.dim() - 1)), first, second)
 
 
 def posed_data(
     model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, mocap_pos: np.ndarray
 ) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """A model in a pose, to be rendered.
+    """Compute a model's pose for rendering.
 
     Args:
-        model: With all that is to be seen.
-        qpos: ``[nq]``.
-        qvel: ``[nv]``.
-        mocap_pos: ``[nmocap, 3]`` m.
+        model: The compiled scene with visuals.
+        qpos: ``[nq]`` positions.
+        qvel: ``[nv]`` velocities.
+        mocap_pos: ``[nmocap, 3]`` positions of the mocap bodies, m.
+
+    Returns:
+        The model, and new data in that pose.
     """
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:], data.mocap_pos[:] = qpos, qvel, mocap_pos

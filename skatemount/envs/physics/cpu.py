@@ -1,4 +1,4 @@
-"""`CpuPhysics`: `mujoco.batch.Batch`, every world of the batch in one call on a pool of threads."""
+"""`CpuPhysics`: `mujoco.batch.Batch` steps every world in one call, on a pool of threads."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from skatemount.envs.state import SimState, StateReader
 
 _POSITION_AND_VELOCITY = mujoco.mjtStage.mjSTAGE_VEL.value
 _EVERYTHING = mujoco.mjtStage.mjSTAGE_ACC.value
-# Warnings after which MuJoCo puts a world back to the model's default state.
+# After one of these warnings, MuJoCo resets a world to the model's default state.
 _DIVERGED = [
     int(w)
     for w in (
@@ -31,19 +31,19 @@ _OVERFLOWED = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.
 
 
 def available_cores() -> int:
-    """Cores that this process may run on."""
+    """Return the number of cores that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 class CpuPhysics:
-    """Worlds stepped by MuJoCo's C engine; bit for bit what `mj_step` computes, at any number of threads.
+    """Worlds stepped by MuJoCo's C engine, with the results of `mj_step` bit for bit at any number of threads.
 
     Args:
         scene: The scene.
         num_worlds: Number of worlds.
-        threads: Physics threads; 0 takes every core.
+        threads: Number of physics threads; 0 takes every core.
     """
 
     def __init__(self, scene: Scene, num_worlds: int, threads: int = 0):
@@ -53,15 +53,15 @@ class CpuPhysics:
         self.index = SceneIndex.of(scene, self.model)
         self.threads = threads or available_cores()
         self.description = f"mujoco.batch, {self.threads} threads"
-        # With memory of its own for every world, a step goes on from where the last one ended, instead of working out
-        # positions and velocities of its first substep anew.
+        # Each world keeps its own engine memory, so a step continues from the last one instead of computing positions
+        # and velocities of its first substep again.
         self._batch = Batch(self.model, num_worlds, self.threads, persistent=True)
         bind = self._batch.bind
         self._qpos, self._qvel, self._qacc = bind("qpos"), bind("qvel"), bind("qacc")
         self._ctrl, self._wrench = bind("ctrl"), bind("xfrc_applied")
         self._weld, self._mocap = bind("eq_active"), bind("mocap_pos")
         self._sensordata = bind("sensordata")
-        # Without gaps the 12 joints are a slice, and a slice is copied without an index.
+        # A slice is copied faster than an index array, and the 12 joints are one if their addresses have no gaps.
         dof = self.index.joint_dof
         self._joint_dof: slice | np.ndarray = dof
         if (np.diff(dof) == 1).all():
@@ -83,7 +83,7 @@ class CpuPhysics:
             return
         index = self.index
         self._lost_contacts |= bool(self._warned(_OVERFLOWED, ids).any())
-        # What `Batch.reset` would do, which wipes all of a world's memory for it.
+        # The same as `Batch.reset`, which would also wipe all of a world's memory.
         self._batch.state[ids], self._batch.warning[ids] = self._default, 0
         qpos = self._qpos[ids]
         qpos[:, index.base_qpos] = torch.cat((start.base_pos, start.base_quat), -1).numpy()
@@ -97,7 +97,7 @@ class CpuPhysics:
         self._wrench[ids, index.trunk_body] = torch.cat((start.force, start.torque), -1).numpy()
         self._weld[ids, index.weld] = start.board_fixed.numpy()
         self._mocap[ids, index.floor_mocap, 2] = start.ground_height.numpy()
-        # To the last stage: short of it, force sensors would show what the last episode left behind.
+        # All stages, because force sensors would otherwise keep the values of the last episode.
         self._batch.forward(ids, stage=_EVERYTHING)
 
     def push(self, mask: Tensor, velocity: Tensor) -> None:
@@ -106,7 +106,7 @@ class CpuPhysics:
         self._qvel[:, dof : dof + 3] += np.where(mask.numpy()[:, None], velocity.numpy(), 0.0)
 
     def state(self, rows: Tensor | None = None) -> SimState:
-        """The state of every world, or of some, in memory of its own; see `Physics.state`."""
+        """Return the state of every world, or of some; see `Physics.state`."""
         which = slice(None) if rows is None else rows.numpy()
 
         def copy(values: np.ndarray) -> Tensor:
@@ -120,51 +120,55 @@ class CpuPhysics:
         )
 
     def field(self, name: str) -> Tensor:
-        """A live ``[N, ...]`` float64 view of a model field with a value for each world."""
+        """Return a live ``[N, ...]`` float64 view of a model field, which then has a value for each world."""
         return torch.from_numpy(self._batch.expand(name))
 
     def refresh_constants(self) -> None:
-        """Recompute what the model derives from masses and inertias."""
+        """Recompute the model constants that depend on masses and inertias."""
         self._batch.set_const()
 
     def diverged(self) -> Tensor:
-        """``[N]`` bool, worlds that MuJoCo had to give up since their last reset."""
+        """Return ``[N]`` bool: worlds whose physics failed since their last reset."""
         return torch.from_numpy(self._warned(_DIVERGED) | ~np.isfinite(self._qpos).all(-1))
 
     def overflowed(self) -> str | None:
-        """What to raise if contacts or constraints were dropped for want of memory; see `Physics.overflowed`."""
+        """Return an error message if contacts or constraints were dropped, else None; see `Physics.overflowed`."""
         if self._lost_contacts or self._warned(_OVERFLOWED).any():
             self._lost_contacts = False
             self._batch.warning[:, _OVERFLOWED, 1] = 0
-            return f"MuJoCo dropped contacts: its memory for a world, {self.model.narena} bytes, was too small"
+            return f"MuJoCo dropped contacts: its memory of {self.model.narena} bytes for a world is too small"
         return None
 
     def raw_state(self) -> np.ndarray:
-        """``[N, S]`` float64, a copy of every world's full integration state; see `set_raw_state`."""
+        """Return a copy of every world's full integration state, ``[N, S]`` float64; see `set_raw_state`."""
         return self._batch.state.copy()
 
     def set_raw_state(self, state: np.ndarray) -> None:
-        """Restore what `raw_state` returned and compute everything that depends on it."""
+        """Restore a state from `raw_state` and compute everything that depends on it."""
         self._batch.state[:] = state
         self._batch.forward()
 
     @functools.cached_property
-    def _visible(self) -> mujoco.MjModel:
+    def _visual_model(self) -> mujoco.MjModel:
         return self._scene.compile()
 
     def render_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """One world's pose with everything there is to see, to render it.
-
-        Args:
-            i: The world.
-        """
-        return posed_data(self._visible, self._qpos[i], self._qvel[i], self._mocap[i])
+        """Return a model with visuals, and data with one world's pose; see `Physics.render_data`."""
+        return posed_data(self._visual_model, self._qpos[i], self._qvel[i], self._mocap[i])
 
     def close(self) -> None:
         """Stop the threads and free the worlds."""
         del self._batch
 
     def _warned(self, kinds: list[int], worlds: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Bool for each of the worlds, all by default: whether it had a warning of these kinds since its last reset."""
-        # Each warning is a pair: what it was last about, and how often it was raised.
+        """Find worlds that had a warning since their last reset.
+
+        Args:
+            kinds: Ids of the warnings.
+            worlds: ``[K]`` worlds; all by default.
+
+        Returns:
+            ``[K]`` bool.
+        """
+        # Each warning is a pair of its latest detail and the number of times that it was raised.
         return (self._batch.warning[worlds][:, kinds, 1] > 0).any(-1)

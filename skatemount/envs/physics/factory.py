@@ -1,4 +1,4 @@
-"""Make the engine that the settings name."""
+"""The choice of a physics engine by the settings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def _cpu(scene: Scene, config: PhysicsConfig) -> Physics:
     from skatemount.envs.physics.cpu import CpuPhysics
 
     if config.device not in ("auto", "cpu"):
-        raise ConfigError(f"physics.device={config.device} goes with physics.engine=warp, but the engine is cpu")
+        raise ConfigError(f"physics.device={config.device} goes with physics.engine=warp, but physics.engine is cpu")
     return CpuPhysics(scene, config.num_worlds, config.threads)
 
 
@@ -23,7 +23,7 @@ def _warp(scene: Scene, config: PhysicsConfig) -> Physics:
     try:
         import warp
 
-        # Before anything of it is used: it tells of every device and module it loads.
+        # Set before anything else of Warp is used, because it prints a line for every device and module that it loads.
         warp.config.log_level = warp.LOG_WARNING
         from skatemount.envs.physics.warp import WarpPhysics
     except ImportError as error:
@@ -42,10 +42,16 @@ def make_physics(
     """Start the engine that the settings name.
 
     Args:
-        scene: The scene, compiled by the engine.
-        config: Engine, number of worlds and threads.
-        num_worlds: Instead of the settings' number.
-        threads: Instead of the settings' number.
+        scene: The scene, which the engine compiles.
+        config: Settings of the engine.
+        num_worlds: Number of worlds; that of the settings if None.
+        threads: Number of physics threads; that of the settings if None.
+
+    Returns:
+        The engine.
+
+    Raises:
+        ConfigError: A setting cannot be used, or the engine is not installed.
     """
     config = dataclasses.replace(config)
     config.num_worlds = config.num_worlds if num_worlds is None else num_worlds

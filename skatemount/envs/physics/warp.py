@@ -1,4 +1,4 @@
-"""`WarpPhysics`: mujoco_warp, every world of the batch on one GPU, or on Warp's CPU device to try it."""
+"""`WarpPhysics`: mujoco_warp steps every world on one GPU, or on Warp's CPU device for tests."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from skatemount.envs.physics.base import StartState, posed_data
+from skatemount.envs.physics.base import StartState, posed_data, where_rows
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState, StateReader
 from skatemount.utils.devices import choose_device
 
-RANDOMISED = ("geom_friction", "jnt_stiffness", "body_mass", "body_inertia", "body_ipos", "actuator_gainprm")
-"""Model fields with a value for each world."""
+RANDOMIZED = ("geom_friction", "jnt_stiffness", "body_mass", "body_inertia", "body_ipos", "actuator_gainprm")
+"""Model fields that have a value for each world."""
 DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
-"""What follows from masses and inertias, and differs from world to world with them."""
+"""Model fields that are computed from masses and inertias, and so also have a value for each world."""
 STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl", "xfrc_applied", "eq_active", "mocap_pos")
-"""What integration goes on from."""
+"""Data fields that the next step depends on."""
 RESULTS = ("sensordata", "qacc")
-"""What the last step, or a reset, computed from it, and states are read from."""
+"""Data fields that a step or reset computes and `SimState` is read from."""
 
 _TOO_SMALL = {
-    # Contacts first: without some of them, counts of constraints mean nothing.
+    # Contacts come first, because the number of constraints means nothing once contacts are lost.
     mjw.OverflowType.BROADPHASE: "max_contacts",
     mjw.OverflowType.NARROWPHASE: "max_contacts",
     mjw.OverflowType.CCD: "max_contacts",
@@ -40,25 +40,25 @@ _TOO_SMALL = {
 _NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 _FORWARD = 0
 _FEW = 8
-"""Resets of up to one in so many worlds are computed by themselves; nearly all are of fewer."""
+"""A reset of at most 1/8 of the worlds, as nearly all are, is computed in a small batch of its own."""
 _SPARE_WORLDS = 8
-"""Of a few worlds' contacts, the average is far from the most; there they have memory for so many worlds more."""
+"""The small batch has memory for the contacts of 8 more worlds, because an average over few worlds varies widely."""
 _SENSOR_SHARE = 3
-"""A contact sensor adds up so many times fewer contacts than `max_contacts`."""
+"""A contact sensor adds up at most 1/3 of `max_contacts`."""
 _LARGEST = 1e10
-"""Beyond it MuJoCo gives a state up (mjMAXVAL)."""
+"""Absolute value beyond which MuJoCo resets a world (mjMAXVAL)."""
 
 
 class _Worlds:
-    """So many worlds in Warp's memory, torch's views of them, and the CUDA graphs that step them.
+    """A batch of worlds in Warp's memory, torch's views of it, and the CUDA graphs that step it.
 
     Args:
-        model: The scene.
+        model: The compiled scene.
         num_worlds: Number of worlds.
-        device: Where they are.
-        contacts: Contacts of a world that there is memory for, on average.
-        constraints: Constraint rows of a world that there is memory for.
-        spare: Memory for the contacts of so many worlds more.
+        device: Device of the worlds.
+        contacts: Memory for contacts, per world on average.
+        constraints: Memory for constraint rows, per world.
+        spare: Number of additional worlds whose contacts there is memory for.
     """
 
     def __init__(
@@ -73,15 +73,15 @@ class _Worlds:
         self.num_worlds = num_worlds
         self._device, self._warp_device = device, wp.device_from_torch(device)
         with wp.ScopedDevice(self._warp_device):
-            self.model = mjw.put_model(model, dict.fromkeys((*RANDOMISED, *DERIVED), num_worlds))
-            # An overflow is found by `overflowed`; Warp would print a line a world and step.
+            self.model = mjw.put_model(model, dict.fromkeys((*RANDOMIZED, *DERIVED), num_worlds))
+            # `overflowed` reports an overflow. Warp would print a line per world and step.
             self.model.opt.warn_overflow = 0
-            # Mujoco_warp launches a block that sorts contacts for each contact sensor of each world, also where forces
-            # are only added up, as here: the blocks are one warp, and what they would sort is small.
+            # For each contact sensor of each world, mujoco_warp launches a block that sorts contacts, even where forces
+            # are only added up, as here. Blocks of one warp with few contacts to sort keep this cheap.
             self.model.opt.contact_sensor_maxmatch = max(1, contacts // _SENSOR_SHARE)
             self.model.block_dim.contact_sort = 32
             self.data = mjw.make_data(model, num_worlds, naconmax=contacts * (num_worlds + spare), njmax=constraints)
-        self.fields = {name: wp.to_torch(getattr(self.model, name)) for name in (*RANDOMISED, *DERIVED)}
+        self.fields = {name: wp.to_torch(getattr(self.model, name)) for name in (*RANDOMIZED, *DERIVED)}
         self.state = {name: wp.to_torch(getattr(self.data, name)) for name in STATE}
         self.results = {name: wp.to_torch(getattr(self.data, name)) for name in RESULTS}
         self.overflow = wp.to_torch(self.data.overflow)
@@ -90,11 +90,14 @@ class _Worlds:
         self.launch(_FORWARD)
 
     def lost_contacts(self) -> Tensor:
-        """Bool, whether there was no memory for all contacts that were just found: `overflow` tells only of steps."""
+        """Return a bool scalar: whether the last collision detection found more contacts than there is memory for.
+
+        `overflow` is set by steps only, and so says nothing about a reset.
+        """
         return torch.cat(self._found).max() > self.data.naconmax
 
     def launch(self, substeps: int) -> None:
-        """Do `_work`, on a GPU as a graph that is captured after the first time."""
+        """Run `_work`, on a GPU as a CUDA graph that the first call captures."""
         if substeps in self._graphs:
             wp.capture_launch(self._graphs[substeps], self._stream())
             return
@@ -106,7 +109,7 @@ class _Worlds:
             self._graphs[substeps] = capture.graph
 
     def run(self, work: Callable[[], Any]) -> None:
-        """Run Warp's kernels in order with torch's."""
+        """Run Warp's kernels on torch's stream, so that they keep their order with torch's."""
         if self._device.type == "cpu":
             with wp.ScopedDevice(self._warp_device):
                 work()
@@ -118,13 +121,17 @@ class _Worlds:
         return wp.stream_from_torch(torch.cuda.current_stream(self._device))
 
     def _work(self, substeps: int) -> None:
-        """Physics steps, and then positions and velocities of what they led to; without steps, everything anew."""
+        """Step the worlds, then compute positions and velocities of the new state.
+
+        Args:
+            substeps: Number of physics steps; 0 to compute the present state completely.
+        """
         model, data = self.model, self.data
         if not substeps:
             mjw.forward(model, data)
             return
         flags = model.opt.disableflags
-        # Sensors are read after the last step alone.
+        # Sensors are read after the last step only.
         model.opt.disableflags |= _NO_SENSORS
         try:
             for _ in range(substeps - 1):
@@ -132,7 +139,7 @@ class _Worlds:
         finally:
             model.opt.disableflags = flags
         mjw.step(model, data)
-        # Forces stay those of the last step; contacts are found anew by the next.
+        # Forces remain those of the last step. The next step detects contacts again.
         mjw.fwd_kinematics(model, data)
         mjw.sensor_pos(model, data)
         mjw.fwd_velocity(model, data)
@@ -142,19 +149,18 @@ class _Worlds:
 class WarpPhysics:
     """Worlds stepped by mujoco_warp, in single precision.
 
-    The tensors of its state share Warp's memory. On a GPU the substeps are one CUDA graph, and no more is copied to
-    the host than which worlds are reset.
+    Torch and Warp share the memory of the state. On a GPU, the substeps of a control step are one CUDA graph, and only
+    the indices of reset worlds are copied to the host.
 
     Args:
         scene: The scene.
         num_worlds: Number of worlds.
-        device: Where they are: ``auto`` (a GPU if there is one), ``cuda``, ``cuda:1``, ``cpu``.
-        max_contacts: Contacts of a world that there is memory for, on average over the worlds; a contact sensor adds
-            up a third as many.
-        max_constraints: Constraint rows of a world that there is memory for.
+        device: Device of the worlds: ``auto`` (a GPU if there is one, else the CPU), ``cuda``, ``cuda:1`` or ``cpu``.
+        max_contacts: Memory for contacts, per world on average. A contact sensor adds up at most a third as many.
+        max_constraints: Memory for constraint rows, per world.
 
     Raises:
-        ConfigError: There is no such device.
+        ConfigError: The device does not exist.
     """
 
     def __init__(
@@ -166,7 +172,7 @@ class WarpPhysics:
         self.max_contacts, self.max_constraints = max_contacts, max_constraints
         self._scene = scene
         wp.init()
-        _say_if_it_has_to_compile()
+        _announce_compilation()
         self.description = f"mujoco_warp on {wp.device_from_torch(self.device).name}"
         self._all = _Worlds(self.model, num_worlds, self.device, max_contacts, max_constraints)
         few = max(1, num_worlds // _FEW)
@@ -180,21 +186,21 @@ class WarpPhysics:
             self._joint_qpos, self._joint_dof, self._actuators = (
                 torch.as_tensor(ids) for ids in (self.index.joint_qpos, self.index.joint_dof, self.index.actuators)
             )
-        self._reader = StateReader(self.index, self.device)
+        self._reader = StateReader(self.index)
 
     def step(self, targets: Tensor, substeps: int) -> None:
         """Advance every world; see `Physics.step`."""
         self._state["ctrl"][:, self._actuators] = targets
         self._all.launch(substeps)
-        self._give_up_what_failed()
+        self._reset_diverged()
 
-    def _give_up_what_failed(self) -> None:
-        """Put worlds that are not finite any more back to the model's default state, as MuJoCo's C engine does."""
+    def _reset_diverged(self) -> None:
+        """Put diverged worlds back to the model's default state, as MuJoCo's C engine does."""
         qpos, qvel = self._state["qpos"], self._state["qvel"]
-        # A comparison with nan is false.
+        # A comparison with nan is false, so this finds nan as well.
         failed = ~((qpos.abs() < _LARGEST).all(-1) & (qvel.abs() < _LARGEST).all(-1))
         self._failed |= failed
-        qpos.copy_(_choose(failed, self._qpos0, qpos))
+        qpos.copy_(where_rows(failed, self._qpos0, qpos))
         for name in ("qvel", "qacc_warmstart", "ctrl"):
             self._state[name].masked_fill_(failed.unsqueeze(1), 0.0)
         for values in self._all.results.values():
@@ -225,14 +231,19 @@ class WarpPhysics:
             self._forward_few(rows, fresh)
 
     def _forward_all(self, mask: Tensor) -> None:
-        """Compute all worlds anew; those that are not chosen keep what their last step left, forces above all."""
-        left = {name: values.clone() for name, values in self._all.results.items()}
+        """Compute the chosen worlds as part of all. The others keep the results of their last step, such as forces."""
+        before = {name: values.clone() for name, values in self._all.results.items()}
         self._all.launch(_FORWARD)
         for name, values in self._all.results.items():
-            values.copy_(_choose(mask, values, left[name]))
+            values.copy_(where_rows(mask, values, before[name]))
 
     def _forward_few(self, rows: Tensor, fresh: dict[str, Tensor]) -> None:
-        """Compute the chosen worlds, whose states are given, in memory of their own."""
+        """Compute the chosen worlds in the small batch.
+
+        Args:
+            rows: ``[K]`` int64, the chosen worlds.
+            fresh: Their start states: ``[K, ...]`` by name of the data field.
+        """
         every, few, n = self._all, self._few, len(rows)
         for name, values in few.fields.items():
             values[:n] = every.fields[name][rows]
@@ -249,7 +260,7 @@ class WarpPhysics:
         self._state["qvel"][:, dof : dof + 3] += torch.where(mask.unsqueeze(1), velocity, 0.0)
 
     def state(self, rows: Tensor | None = None) -> SimState:
-        """The state of every world, or of some, in memory of its own; see `Physics.state`."""
+        """Return the state of every world, or of some; see `Physics.state`."""
 
         def copy(values: Tensor) -> Tensor:
             return values.clone() if rows is None else values[rows]
@@ -263,69 +274,72 @@ class WarpPhysics:
         )
 
     def field(self, name: str) -> Tensor:
-        """A live ``[N, ...]`` float32 view of a model field with a value for each world.
+        """Return a live ``[N, ...]`` float32 view of a model field that has a value for each world.
+
+        Args:
+            name: Name of the field.
 
         Raises:
             KeyError: The field is the same in every world.
         """
-        if name not in RANDOMISED:
-            raise KeyError(f"{name} is not among the fields that differ from world to world: {', '.join(RANDOMISED)}")
+        if name not in RANDOMIZED:
+            raise KeyError(f"{name} is not among the fields that differ from world to world: {', '.join(RANDOMIZED)}")
         return self._all.fields[name]
 
     def refresh_constants(self) -> None:
-        """Recompute what the model derives from masses and inertias."""
+        """Recompute the model constants that depend on masses and inertias."""
         before = self._state["qpos"].clone()
         self._all.run(lambda: mjw.set_const(self._all.model, self._all.data))
         self._state["qpos"].copy_(before)
 
     def diverged(self) -> Tensor:
-        """``[N]`` bool, worlds that had to be given up since their last reset."""
+        """Return ``[N]`` bool: worlds whose physics failed since their last reset."""
         return self._failed.clone()
 
     def overflowed(self) -> str | None:
-        """What to raise if contacts or constraints were dropped for want of memory, since it was last asked."""
-        seen = self._all.overflow.to("cpu", copy=True)
+        """Return a message if contacts or constraints were dropped since the last call; see `Physics.overflowed`."""
+        overflow = self._all.overflow.to("cpu", copy=True)
         self._all.overflow.zero_()
         for bit, setting in _TOO_SMALL.items():
-            if lost := int(((seen & int(bit)) != 0).sum()):
+            if lost := int(((overflow & int(bit)) != 0).sum()):
                 return (
                     f"mujoco_warp dropped {setting.removeprefix('max_')} in {lost} of {self.num_worlds} worlds "
-                    f"({bit.name}): raise physics.{setting}, which is {getattr(self, setting)}"
+                    f"({bit.name}); physics.{setting}={getattr(self, setting)} must be larger"
                 )
         if self._lost_in_reset:
             self._lost_in_reset.zero_()
-            return f"mujoco_warp dropped contacts in a reset: raise physics.max_contacts, which is {self.max_contacts}"
+            return f"mujoco_warp dropped contacts in a reset; physics.max_contacts={self.max_contacts} must be larger"
         return None
 
     def raw_state(self) -> dict[str, Tensor]:
-        """A copy of every world's full integration state; see `set_raw_state`."""
+        """Return a copy of every world's full integration state; see `set_raw_state`."""
         return {name: value.clone() for name, value in self._state.items()}
 
     def set_raw_state(self, state: dict[str, Tensor]) -> None:
-        """Restore what `raw_state` returned and compute everything that depends on it."""
+        """Restore a state from `raw_state` and compute everything that depends on it."""
         for name, value in state.items():
             self._state[name].copy_(value)
         self._all.launch(_FORWARD)
 
     @functools.cached_property
-    def _visible(self) -> mujoco.MjModel:
+    def _visual_model(self) -> mujoco.MjModel:
         return self._scene.compile()
 
     def render_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """One world's pose with everything there is to see; see `Physics.world`."""
+        """Return a model with visuals, and data with one world's pose; see `Physics.render_data`."""
         qpos, qvel, mocap = (self._state[name][i].cpu().numpy() for name in ("qpos", "qvel", "mocap_pos"))
-        return posed_data(self._visible, qpos, qvel, mocap)
+        return posed_data(self._visual_model, qpos, qvel, mocap)
 
     def close(self) -> None:
         """Free the worlds."""
         del self._all, self._few, self._state
 
 
-def _say_if_it_has_to_compile() -> None:
+def _announce_compilation() -> None:
     cache = wp.config.kernel_cache_dir
     if cache is not None and not any(Path(cache).glob("*mujoco_warp*")):
-        print("mujoco_warp compiles its kernels: a minute or two, once a machine", file=sys.stderr, flush=True)
-
-
-def _choose(mask: Tensor, first: Tensor, second: Tensor) -> Tensor:
-    return torch.where(mask.view(-1, *[1] * (second.dim() - 1)), first, second)
+        print(
+            "mujoco_warp compiles its kernels; this takes a minute or two, once per machine",
+            file=sys.stderr,
+            flush=True,
+        )

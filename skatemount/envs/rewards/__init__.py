@@ -1,4 +1,4 @@
-"""Reward terms and the table that weighs them."""
+"""Reward terms, and the table that weights them."""
 
 from skatemount.envs.config.terms import RewardTerm
 from skatemount.envs.rewards import board, locomotion

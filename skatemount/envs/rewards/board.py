@@ -1,6 +1,7 @@
-"""Rewards of the board: the paper's five terms, its sound variants, and what mounting needed besides.
+"""Rewards for mounting the board: the paper's five terms, corrected variants of them, and terms of our own.
 
-Every function returns ``[N]``, unweighed. "Paper" is its text, "paper's code" the settings of its published runs.
+Every function returns ``[N]``, without its weight. "Paper" means its text, "paper's code" the settings of its published
+runs, "ours" a term that is in neither.
 """
 
 from __future__ import annotations
@@ -19,27 +20,34 @@ from skatemount.envs.terms import TaskContext
 
 @reward
 def feet_on_board(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """How many feet press on the deck from above, 0 to 4 (paper: the indicator summed over feet)."""
+    """Count the feet that press on the deck from above, 0 to 4 (paper)."""
     return episode.on_deck.sum(-1).to(sim.base_pos.dtype)
 
 
 @reward
 def feet_on_board_paper(sim: SimState, episode: EpisodeState, context: TaskContext, height: float = 0.10) -> Tensor:
-    """How many feet have any force against the deck and are higher than 0.10 m in the world (paper's code)."""
+    """Count the feet that have any force against the deck and are high enough (paper's code).
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        height: Height in the world above which a foot counts, m.
+    """
     touching = (sim.foot_deck_force != 0).any(-1)
     return (touching & (sim.foot_pos[..., 2] > height)).sum(-1).to(sim.base_pos.dtype)
 
 
 @reward
 def mounted(sim: SimState, episode: EpisodeState, context: TaskContext, ramp: float = 0.0) -> Tensor:
-    """1 while all four feet and nothing else are on the deck, by the definition of success (ours).
+    """Return 1 while the robot is mounted by the definition of success, else 0 (ours).
 
     Args:
         sim: The state.
         episode: The episode.
         context: Constants.
-        ramp: Seconds over which it grows from 0 to 1 while the robot stands there, s: a stance that is kept is then
-            worth more than one that is left and taken up again. 0 gives all of it at once.
+        ramp: Time over which the value grows from 0 to 1 while the robot stays mounted, s. With a ramp, a stance that
+            is kept is worth more than one that is left and taken up again. 0 gives the full value at once.
     """
     if ramp <= 0:
         return episode.mounted.to(sim.base_pos.dtype)
@@ -48,7 +56,10 @@ def mounted(sim: SimState, episode: EpisodeState, context: TaskContext, ramp: fl
 
 @reward
 def all_feet_on_board(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """1 while all four feet press on the deck and none on anything else (ours; a shin on the deck does not void it)."""
+    """Return 1 while all four feet press on the deck and none on anything else, else 0 (ours).
+
+    Unlike `mounted`, other parts of the robot may touch something.
+    """
     alone = episode.on_deck.all(-1) & ~episode.foot_off_deck_contact
     return alone.to(sim.base_pos.dtype)
 
@@ -57,23 +68,23 @@ def all_feet_on_board(sim: SimState, episode: EpisodeState, context: TaskContext
 def feet_proximity(
     sim: SimState, episode: EpisodeState, context: TaskContext, scale: float = 0.12, margin: float = 0.02
 ) -> Tensor:
-    """Mean over feet of exp(-d / scale), d the way left to the deck's top (ours).
+    """Reward feet near the deck's top: the mean over feet of exp(-d / scale) (ours).
 
-    d is the distance from the sole to the deck's top rectangle, less a margin inside the edge; for a foot under the
-    deck it is instead the way out to the side and up, otherwise a foot under the deck would be as good as one on it.
+    d is the distance from the sole to the deck's top, of which a margin along the edge is left out. A foot under the
+    deck gets the length of the way out to the side and up, because otherwise it would be as good as a foot on the deck.
 
     Args:
         sim: The state.
         episode: The episode.
         context: Constants.
-        scale: m.
-        margin: How far inside the edge a foot should stand, m.
+        scale: Distance at which the value falls to 1/e, m.
+        margin: Distance from the edge that a foot should keep, m.
     """
     position, (half_x, half_y) = sim.foot_pos_board, context.deck_half
     beyond_x, beyond_y = beyond_rectangle(position, (half_x - margin, half_y - margin))
     outside = torch.hypot(beyond_x.clamp(min=0), beyond_y.clamp(min=0))
     height = position[..., 2] - context.foot_radius
-    # Out to the nearest edge: how deep the foot is inside the outline, as a positive number.
+    # Distance to the nearest edge, as a positive number, for a foot inside the outline.
     depth = -torch.maximum(beyond_x, beyond_y).clamp(max=0)
     detour = torch.where(height < -context.foot_radius, depth, 0.0)
     return torch.exp(-(outside + detour + height.abs()) / scale).mean(-1)
@@ -81,14 +92,30 @@ def feet_proximity(
 
 @reward
 def approach(sim: SimState, episode: EpisodeState, context: TaskContext, limit: float = 1.0) -> Tensor:
-    """Speed toward the deck's centre in the plane, cut at a limit, m/s: what a potential -d yields (ours)."""
+    """Reward the trunk's horizontal speed toward the deck's center, m/s (ours).
+
+    This is the shaping reward of the potential -d, with d the horizontal distance.
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        limit: Largest absolute value, m/s.
+    """
     speed = (episode.previous_distance - episode.distance) / context.control_step
     return speed.clamp(-limit, limit)
 
 
 @reward
 def distance(sim: SimState, episode: EpisodeState, context: TaskContext, scale: float = 0.25) -> Tensor:
-    """exp(-d_xy / scale), d_xy the trunk's distance from the deck's centre in the plane (paper; its code's scale)."""
+    """Reward closeness to the deck: exp(-d / scale), with d the trunk's horizontal distance to its center (paper).
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        scale: Distance at which the value falls to 1/e, m; the default is that of the paper's code.
+    """
     return torch.exp(-episode.distance / scale)
 
 
@@ -96,9 +123,17 @@ def distance(sim: SimState, episode: EpisodeState, context: TaskContext, scale: 
 def alignment(
     sim: SimState, episode: EpisodeState, context: TaskContext, gate: float = 0.3, scale: float = 0.25
 ) -> Tensor:
-    """exp(-(|yaw| / pi) / scale) within ``gate`` metres of the deck's centre in the plane, yaw modulo pi.
+    """Reward alignment with the board near it: exp(-(|yaw| / pi) / scale) within a gate, with yaw modulo pi.
 
-    Ours is the paper's text, its distance gate in the plane: a board has no front. See `orientation_paper`.
+    This follows the paper's text. Two choices are ours: the gate is a horizontal distance, and either end of the board
+    may be its front. See `orientation_paper` for the paper's code.
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        gate: Horizontal distance from the deck's center within which the term counts, m.
+        scale: Value of |yaw| / pi at which the term falls to 1/e.
     """
     x_axis = sim.board_rot_base[..., 0]
     yaw = torch.atan2(x_axis[:, 1], x_axis[:, 0]).abs()
@@ -110,10 +145,17 @@ def alignment(
 def orientation_paper(
     sim: SimState, episode: EpisodeState, context: TaskContext, gate: float = 0.3, scale: float = 0.25
 ) -> Tensor:
-    """exp(-(angle / pi) / scale) within ``gate`` of the point under the board's centre, in space (paper's code).
+    """Reward alignment with the board near it: exp(-(angle / pi) / scale) within a gate (paper's code).
 
-    The angle is that of the whole rotation between trunk and board, and the point lies on the floor, so the gate is
-    open only to a robot that crouches.
+    The angle is that of the whole rotation between trunk and board. The gate is a distance in space from a point on the
+    floor, so only a robot that crouches gets through.
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        gate: Distance from the point under the board's center within which the term counts, m.
+        scale: Value of angle / pi at which the term falls to 1/e.
     """
     rotation = sim.board_rot_base
     cosine = ((rotation.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2).clamp(-1, 1)
@@ -124,19 +166,19 @@ def orientation_paper(
 
 @penalty
 def board_flip(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """1 while the board lies on its back: its z axis points down (paper)."""
+    """Penalize a board on its back: 1 while its z axis points down, else 0 (paper)."""
     return (sim.board_rot[:, 2, 2] < 0).to(sim.base_pos.dtype)
 
 
 @penalty
 def board_speed(sim: SimState, episode: EpisodeState, context: TaskContext, horizontal: bool = True) -> Tensor:
-    """Speed of the board, m/s.
+    """Penalize the speed of the board, m/s.
 
     Args:
         sim: The state.
         episode: The episode.
         context: Constants.
-        horizontal: In the plane (paper), or in space (paper's code).
+        horizontal: True for the horizontal speed (paper), False for the speed in space (paper's code).
     """
     velocity = sim.board_lin_vel[:, :2] if horizontal else sim.board_lin_vel
     return torch.linalg.vector_norm(velocity, dim=-1)
@@ -144,7 +186,7 @@ def board_speed(sim: SimState, episode: EpisodeState, context: TaskContext, hori
 
 @penalty
 def board_tilt(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """1 - cos^2 of the angle between the deck's normal and the vertical (ours)."""
+    """Penalize a tilted deck: 1 - cos^2 of the angle between its normal and the vertical (ours)."""
     return 1 - success.deck_level(sim).square()
 
 
@@ -152,7 +194,7 @@ def board_tilt(sim: SimState, episode: EpisodeState, context: TaskContext) -> Te
 def feet_near_edge(
     sim: SimState, episode: EpisodeState, context: TaskContext, half_width: float = 0.08, half_length: float = 0.25
 ) -> Tensor:
-    """Sum over feet on the deck of how far they stand outside a safe rectangle, m (ours).
+    """Penalize feet near the deck's edge: the sum over feet on the deck of |x| and |y| beyond a rectangle, m (ours).
 
     A foot outside the wheels' track tips a free board.
 
@@ -160,8 +202,8 @@ def feet_near_edge(
         sim: The state.
         episode: The episode.
         context: Constants.
-        half_width: Of the rectangle, m.
-        half_length: Of the rectangle, m.
+        half_width: Half width of the rectangle, m.
+        half_length: Half length of the rectangle, m.
     """
     beyond_x, beyond_y = beyond_rectangle(sim.foot_pos_board, (half_length, half_width))
     return ((beyond_x.clamp(min=0) + beyond_y.clamp(min=0)) * episode.on_deck).sum(-1)
@@ -169,6 +211,6 @@ def feet_near_edge(
 
 @penalty
 def still(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Speed of the trunk relative to the board in the plane while mounted, m/s (ours)."""
+    """Penalize moving on the board: the trunk's x-y speed relative to it, trunk frame, while mounted, m/s (ours)."""
     relative = sim.base_lin_vel - rotate_inverse(sim.base_rot, sim.board_lin_vel)
     return torch.linalg.vector_norm(relative[:, :2], dim=-1) * episode.mounted

@@ -1,6 +1,7 @@
-"""Rewards of walking and of moving well: the base terms of the paper's code (Isaac-style defaults) and ours.
+"""Rewards for walking and smooth motion: the base terms of the paper's code (Isaac-style defaults) and our own.
 
-Every function returns ``[N]``, unweighed. "Paper's code" means the settings of its published runs.
+Every function returns ``[N]``, without its weight. "Paper's code" means the settings of the paper's published runs,
+"ours" a term that is not in them.
 """
 
 from __future__ import annotations
@@ -17,51 +18,55 @@ from skatemount.envs.terms import TaskContext
 
 @event_penalty
 def termination(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """1 in the step in which a termination ends the episode (an event; the paper's code: 200 x 0.02 s = 4)."""
+    """Penalize a termination: 1 in the step in which one ends the episode, else 0 (paper's code).
+
+    The weight counts for each occurrence. The paper's code has 200 per second at 50 Hz, which is 4 for each.
+    """
     return episode.terminated.to(sim.base_pos.dtype)
 
 
 @reward
 def alive(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """1 in every step."""
+    """Return 1 in every step (ours)."""
     return torch.ones_like(sim.ground_height)
 
 
 @penalty
 def lin_vel_z(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """v_z^2 of the trunk in its own frame, m^2/s^2 (paper's code)."""
+    """Penalize the trunk's velocity along its z axis: v_z^2, m^2/s^2 (paper's code)."""
     return sim.base_lin_vel[:, 2].square()
 
 
 @penalty
 def ang_vel_xy(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """w_x^2 + w_y^2 of the trunk, rad^2/s^2 (paper's code)."""
+    """Penalize roll and pitch rates of the trunk: w_x^2 + w_y^2, rad^2/s^2 (paper's code)."""
     return sim.base_ang_vel[:, :2].square().sum(-1)
 
 
 @penalty
 def flat_orientation(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """g_x^2 + g_y^2 of gravity's direction in the trunk frame (Isaac-style default)."""
+    """Penalize a tilted trunk: g_x^2 + g_y^2, with g gravity's direction in the trunk frame (Isaac-style default)."""
     return sim.gravity[:, :2].square().sum(-1)
 
 
 @reward
 def upward(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """(1 - g_z)^2, 4 when upright (paper's code)."""
+    """Reward an upright trunk: (1 - g_z)^2, with g gravity's direction in the trunk frame; 4 upright (paper's code)."""
     return (1 - sim.gravity[:, 2]).square()
 
 
 @penalty
 def base_height(sim: SimState, episode: EpisodeState, context: TaskContext, target: float | None = None) -> Tensor:
-    """(h - h*)^2 with h the height of the trunk above its soles, m^2.
+    """Penalize deviation from the target height: (h - h*)^2, with h the trunk's height above its soles, m^2 (ours).
 
-    Ours: the paper's code measures from the world's floor, so that its robot is told to crouch by the deck's height.
+    The paper's code measures from the world's floor, which tells a mounted robot to crouch by the deck's height; see
+    `base_height_world`.
 
     Args:
         sim: The state.
         episode: The episode.
         context: Constants.
-        target: h*, m; the default stance's height if null.
+        target: Target height h*, m; the height of the default stance if null.
     """
     goal = context.stance_height if target is None else target
     soles = sim.foot_pos[..., 2].mean(-1) - context.foot_radius
@@ -70,31 +75,38 @@ def base_height(sim: SimState, episode: EpisodeState, context: TaskContext, targ
 
 @penalty
 def base_height_world(sim: SimState, episode: EpisodeState, context: TaskContext, target: float = 0.35) -> Tensor:
-    """(z - z*)^2 with z the height of the trunk above the world's floor, m^2 (paper's code, on the board too)."""
-    return (sim.base_pos[:, 2] - target).square()
-
-
-@penalty
-def joint_torques(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Sum of squared joint torques, (N m)^2 (paper's code)."""
-    return sim.joint_torque.square().sum(-1)
-
-
-@penalty
-def joint_acc(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Sum of squared joint accelerations, rad^2/s^4 (paper's code)."""
-    return sim.joint_acc.square().sum(-1)
-
-
-@penalty
-def joint_vel(sim: SimState, episode: EpisodeState, context: TaskContext, when_mounted: bool = False) -> Tensor:
-    """Sum of squared joint velocities, rad^2/s^2 (ours).
+    """Penalize deviation from the target height: (z - z*)^2, with z the trunk's world height, m^2 (paper's code).
 
     Args:
         sim: The state.
         episode: The episode.
         context: Constants.
-        when_mounted: Count it only while the robot stands on the board.
+        target: Target height z* above the world's floor, m; the same on the board.
+    """
+    return (sim.base_pos[:, 2] - target).square()
+
+
+@penalty
+def joint_torques(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
+    """Penalize joint torques: the sum of their squares, (N m)^2 (paper's code)."""
+    return sim.joint_torque.square().sum(-1)
+
+
+@penalty
+def joint_acc(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
+    """Penalize joint accelerations: the sum of their squares, rad^2/s^4 (paper's code)."""
+    return sim.joint_acc.square().sum(-1)
+
+
+@penalty
+def joint_vel(sim: SimState, episode: EpisodeState, context: TaskContext, when_mounted: bool = False) -> Tensor:
+    """Penalize joint velocities: the sum of their squares, rad^2/s^2 (ours).
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        when_mounted: True if the term counts only while the robot is mounted.
     """
     value = sim.joint_vel.square().sum(-1)
     return value * episode.mounted if when_mounted else value
@@ -102,32 +114,32 @@ def joint_vel(sim: SimState, episode: EpisodeState, context: TaskContext, when_m
 
 @penalty
 def joint_limits(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Sum of how far joints are outside the middle 90 % of their ranges, rad (paper's code)."""
+    """Penalize joints near their limits: the sum of angles beyond the middle 90 % of the range, rad (paper's code)."""
     low, high = context.soft_limits.unbind(-1)
     return ((low - sim.joint_pos).clamp(min=0) + (sim.joint_pos - high).clamp(min=0)).sum(-1)
 
 
 @penalty
 def joint_power(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Sum of |velocity x torque|, W (paper's code)."""
+    """Penalize mechanical power: the sum over joints of |velocity x torque|, W (paper's code)."""
     return (sim.joint_vel * sim.joint_torque).abs().sum(-1)
 
 
 @penalty
 def joint_pose(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """||q - q_default||, rad (paper's code)."""
+    """Penalize deviation from the default pose: ||q - q_default||, rad (paper's code)."""
     return torch.linalg.vector_norm(sim.joint_pos - context.default_pose, dim=-1)
 
 
 @penalty
 def joint_pose_squared(sim: SimState, episode: EpisodeState, context: TaskContext, when_mounted: float = 0.0) -> Tensor:
-    """||q - q_default||^2, rad^2 (ours).
+    """Penalize deviation from the default pose: ||q - q_default||^2, rad^2 (ours).
 
     Args:
         sim: The state.
         episode: The episode.
         context: Constants.
-        when_mounted: How many times more it counts while the robot stands on the board.
+        when_mounted: Increase of the factor while the robot is mounted: the term is multiplied by 1 + when_mounted.
     """
     value = (sim.joint_pos - context.default_pose).square().sum(-1)
     return value * (1 + when_mounted * episode.mounted)
@@ -135,40 +147,64 @@ def joint_pose_squared(sim: SimState, episode: EpisodeState, context: TaskContex
 
 @penalty
 def joint_mirror(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Half the squared differences of diagonal legs, FR - RL and FL - RR, raw angles, rad^2 (paper's code)."""
+    """Penalize unequal diagonal legs: half the sum of squared joint differences, rad^2 (paper's code).
+
+    The pairs are FR - RL and FL - RR, with joint angles that are not mirrored.
+    """
     fr, fl, rr, rl = sim.joint_pos.unflatten(-1, (4, 3)).unbind(1)
     return 0.5 * ((fr - rl).square().sum(-1) + (fl - rr).square().sum(-1))
 
 
 @penalty
 def action_rate(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """||a_t - a_(t-1)||^2 of the clipped actions (paper's code)."""
+    """Penalize changes of the clipped action: ||a_t - a_(t-1)||^2 (paper's code)."""
     return (episode.action - episode.previous_action).square().sum(-1)
 
 
 @penalty
 def undesired_contacts(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """How many robot parts other than feet touch anything with more than 1 N (paper's code)."""
+    """Count the robot bodies other than the feet that touch anything with more than 1 N (paper's code)."""
     return success.body_contacts(sim).sum(-1).to(sim.base_pos.dtype)
 
 
 @penalty
 def contact_forces(sim: SimState, episode: EpisodeState, context: TaskContext, threshold: float = 100.0) -> Tensor:
-    """Sum over feet of the contact force beyond a threshold, N (paper's code)."""
+    """Penalize hard contacts: the sum over feet of the contact force beyond a threshold, N (paper's code).
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        threshold: Force that is not penalized, N.
+    """
     force = torch.linalg.vector_norm(sim.foot_deck_force + sim.foot_other_force, dim=-1)
     return (force - threshold).clamp(min=0).sum(-1)
 
 
 @reward
 def track_lin_vel(sim: SimState, episode: EpisodeState, context: TaskContext, sigma: float = 0.5) -> Tensor:
-    """exp(-||v_xy* - v_xy||^2 / sigma^2), trunk frame (paper's code, sigma 0.5 m/s)."""
+    """Reward following the commanded velocity: exp(-||v_xy* - v_xy||^2 / sigma^2), trunk frame (paper's code).
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        sigma: Error at which the value falls to 1/e, m/s.
+    """
     error = (episode.command[:, :2] - sim.base_lin_vel[:, :2]).square().sum(-1)
     return torch.exp(-error / sigma**2)
 
 
 @reward
 def track_ang_vel(sim: SimState, episode: EpisodeState, context: TaskContext, sigma: float = 0.5) -> Tensor:
-    """exp(-(w_z* - w_z)^2 / sigma^2) (paper's code, sigma 0.5 rad/s)."""
+    """Reward following the commanded turning rate: exp(-(w_z* - w_z)^2 / sigma^2), trunk frame (paper's code).
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        sigma: Error at which the value falls to 1/e, rad/s.
+    """
     return torch.exp(-(episode.command[:, 2] - sim.base_ang_vel[:, 2]).square() / sigma**2)
 
 
@@ -178,13 +214,13 @@ def _commanded(episode: EpisodeState) -> Tensor:
 
 @reward
 def touchdown_without_command(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """How many feet begin a contact in this step while the command is below 0.1 (paper's code)."""
+    """Count the feet that begin a contact in this step while the norm of the command is at most 0.1 (paper's code)."""
     return episode.touchdown.sum(-1) * ~_commanded(episode)
 
 
 @penalty
 def feet_stumble(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """1 if any foot's horizontal contact force exceeds four times its vertical one (paper's code)."""
+    """Penalize stumbling: 1 if a foot's horizontal contact force exceeds four times its vertical one (paper's code)."""
     force = sim.foot_deck_force + sim.foot_other_force
     sideways = torch.linalg.vector_norm(force[..., :2], dim=-1)
     return (sideways > 4 * force[..., 2].abs()).any(-1).to(sim.base_pos.dtype)
@@ -192,9 +228,9 @@ def feet_stumble(sim: SimState, episode: EpisodeState, context: TaskContext) -> 
 
 @penalty
 def feet_slide(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Sum over touching feet of the horizontal speed relative to what they stand on, m/s.
+    """Penalize slipping: the sum over touching feet of the horizontal speed relative to deck or ground, m/s (ours).
 
-    Ours: the paper's code measures relative to the trunk, which punishes walking; see `feet_slide_base`.
+    The paper's code measures relative to the trunk, which punishes walking; see `feet_slide_base`.
     """
     on_deck = torch.linalg.vector_norm(sim.foot_vel_board[..., :2], dim=-1)
     on_ground = torch.linalg.vector_norm(sim.foot_vel[..., :2], dim=-1)
@@ -203,19 +239,28 @@ def feet_slide(sim: SimState, episode: EpisodeState, context: TaskContext) -> Te
 
 @penalty
 def feet_slide_base(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Sum over touching feet of the horizontal speed relative to the trunk, trunk frame, m/s (paper's code)."""
+    """Penalize slipping: the sum over touching feet of the x-y speed in the trunk frame, m/s (paper's code)."""
     relative = _foot_velocity_base(sim)
     return (torch.linalg.vector_norm(relative[..., :2], dim=-1) * episode.touching).sum(-1)
 
 
 @penalty
 def feet_height_body(sim: SimState, episode: EpisodeState, context: TaskContext, target: float = -0.2) -> Tensor:
-    """Sum over feet of (z - z*)^2 tanh(2 ||v_xy||) in the trunk frame while commanded to move (paper's code), m^2."""
+    """Penalize wrong foot heights: the sum over feet of (z - z*)^2 tanh(2 ||v_xy||), trunk frame, m^2 (paper's code).
+
+    The term counts only while the norm of the command is above 0.1.
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        target: Target height z* of a moving foot in the trunk frame, m.
+    """
     speed = torch.linalg.vector_norm(_foot_velocity_base(sim)[..., :2], dim=-1)
     lift = (sim.foot_pos_base[..., 2] - target).square() * torch.tanh(2 * speed)
     return lift.sum(-1) * _commanded(episode)
 
 
 def _foot_velocity_base(sim: SimState) -> Tensor:
-    """Velocity of the feet relative to the trunk's centre in the trunk frame, ``[N, 4, 3]`` m/s."""
+    """Compute the velocity of the feet relative to the trunk's center in the trunk frame, ``[N, 4, 3]`` m/s."""
     return rotate_inverse(sim.base_rot, sim.foot_vel) - sim.base_lin_vel.unsqueeze(1)

@@ -1,4 +1,4 @@
-"""The reward table: which terms count, and how much."""
+"""The reward table: terms with their weights."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from skatemount.utils.errors import ConfigError
 
 
 @dataclass(frozen=True)
-class Kind:
-    """What a reward term is.
+class RewardKind:
+    """The sign of a reward term, and the unit of its weight.
 
     Attributes:
         sign: 1 for a reward, -1 for a penalty.
-        event: Whether the weight is for each time it happens rather than per second.
+        event: True if the weight counts for each occurrence, False if it counts per second.
     """
 
     sign: int
@@ -32,42 +32,45 @@ REWARDS = Registry("reward")
 
 
 def reward(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """Register a term that is added, per second."""
-    return REWARDS.register(Kind(1))(function)
+    """Register a term that is added, with a weight per second."""
+    return REWARDS.register(RewardKind(1))(function)
 
 
 def penalty(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """Register a term that is subtracted, per second."""
-    return REWARDS.register(Kind(-1))(function)
+    """Register a term that is subtracted, with a weight per second."""
+    return REWARDS.register(RewardKind(-1))(function)
 
 
 def event_penalty(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """Register a term that is subtracted each time it happens."""
-    return REWARDS.register(Kind(-1, event=True))(function)
+    """Register a term that is subtracted, with a weight for each occurrence."""
+    return REWARDS.register(RewardKind(-1, event=True))(function)
 
 
 class RewardTable:
     """Reward terms with their weights.
 
     Args:
-        terms: The table; terms of weight 0 are left out.
+        terms: Settings of the terms by name; terms of weight 0 are left out.
         context: Constants of the task.
         where: Name of the table in the configuration, for messages.
 
     Attributes:
-        names: Terms in order.
+        names: Names of the terms, in order.
+
+    Raises:
+        ConfigError: A term is unknown, or a setting has a value that cannot be used.
     """
 
     def __init__(self, terms: dict[str, RewardTerm], context: TaskContext, where: str = "reward"):
         self._context = context
         rows = []
         for name, term in terms.items():
-            function = REWARDS.bind(name, term.params)
+            function = REWARDS.bind(name, term.params, where)
             if not (math.isfinite(term.weight) and term.weight >= 0):
-                known: Kind = REWARDS.attributes(name)
+                known: RewardKind = REWARDS.attributes(name)
                 role = "added" if known.sign > 0 else "subtracted"
                 raise ConfigError(
-                    f"{where}.{name}.weight={term.weight} must be 0 or more: the term is always {role}, "
+                    f"{where}.{name}.weight={term.weight} must be 0 or more; the term is always {role}, "
                     f"so give the size (such as {abs(term.weight) if math.isfinite(term.weight) else 1.0})"
                 )
             if term.clip is not None and not term.clip > 0:
@@ -84,14 +87,14 @@ class RewardTable:
         self._clips = torch.tensor(clips).unsqueeze(1)
 
     def __call__(self, sim: SimState, episode: EpisodeState) -> Tensor:
-        """Every term's share of the reward of a step.
+        """Compute the weighted terms of a step.
 
         Args:
             sim: The state after the step.
-            episode: The episodes, with that step and its terminations in them.
+            episode: The episodes, updated by the step and its terminations.
 
         Returns:
-            ``[terms, N]``, weighed; the reward is their sum.
+            ``[terms, N]``; the reward is the sum over terms.
         """
         n = sim.base_pos.shape[0]
         if not self._functions:
