@@ -51,4 +51,4 @@ class CommandConfig:
         if not 0 <= self.standing <= 1:
             raise ConfigError(f"{where}.standing={self.standing} must be a fraction from 0 to 1")
         if not self.deadband >= 0:
-            raise ConfigError(f"{where}.deadband={self.deadband} must be 0 m/s or more")
+            raise ConfigError(f"{where}.deadband={self.deadband} must be >= 0 m/s")
