@@ -43,7 +43,7 @@ class Scene:
         self.robot_frame = self.arena.add_free_entity(self.robot)
         self.board_frame = self.arena.add_free_entity(self.board)
         self.board_frame.pos = (0.0, 0.0, self.board.config.deck_height)
-        # Away from the board, so that nothing collides in the model's own start state.
+        # Beside the board, so that the two do not overlap in the model's own start state.
         self.robot_frame.pos = (0.0, 1.0, 0.4)
         root = self.arena.mjcf_model
         self.weld = root.equality.add(
@@ -170,7 +170,7 @@ class SceneIndex:
         actuators: Actuator ids in the order of the joints.
         base_qpos: Slice of the robot's free joint in ``qpos``.
         base_dof: Slice of the robot's free joint in ``qvel``.
-        robot_body: Body id of the robot's free frame, which has no mass.
+        robot_body: Body id of the robot's free frame, the parent of the trunk.
         trunk_body: Body id of the trunk.
         robot_bodies: Body ids of the trunk and the legs.
         board_body: Body id of the deck.

@@ -1,0 +1,85 @@
+"""Each group of settings refuses what cannot be used, in one line that names the setting as it was written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from skatemount.utils.errors import ConfigError
+
+
+@pytest.mark.parametrize("group", ["robot", "board", "physics", "start", "command", "randomization"])
+def test_the_shipped_settings_are_valid(group: str, make_settings: Callable[..., Any]) -> None:
+    settings = make_settings(group)
+    before = repr(settings)
+    settings.validate(group)
+    assert repr(settings) == before
+
+
+@pytest.mark.parametrize(
+    ("group", "setting", "value", "expected"),
+    [
+        ("command", "mode", "follow", "command.mode=follow must be one of sampled, board, zero"),
+        ("command", "turn_to", "left", "command.turn_to=left must be one of nearer, front"),
+        ("command", "turn", [1.0, -1.0], "command.turn=[1.0, -1.0] must be a range [low, high] with low <= high"),
+        ("command", "resample", math.inf, "command.resample=inf must be above 0 s and finite"),
+        ("command", "standing", -0.1, "command.standing=-0.1 must be a fraction from 0 to 1"),
+        ("command", "deadband", -1.0, "command.deadband=-1.0 must be >= 0 m/s"),
+        ("physics", "timestep", 0.05, "physics.timestep=0.05 must be from 0.0001 to 0.02 s"),
+        ("physics", "tolerance", -1.0, "physics.tolerance=-1.0 must be within 0 and 1"),
+        ("physics", "impratio", 0.0, "physics.impratio=0.0 must be above 0 and at most 1000"),
+        ("physics", "substeps", 0, "physics.substeps=0 must be at least 1"),
+        ("physics", "solver", "Gauss", "physics.solver=Gauss must be one of Newton, CG, PGS"),
+        ("physics", "cone", "round", "physics.cone=round must be one of pyramidal, elliptic"),
+        ("physics", "engine", "gpu", "physics.engine=gpu must be one of cpu, warp"),
+        ("physics", "max_contacts", 0, "physics.max_contacts=0 must be at least 1"),
+        ("physics", "threads", -1, "physics.threads=-1 must be 0 (every core) or more"),
+        ("randomization", "kp", [0.0, 1.0], "randomization.kp=[0.0, 1.0] must be above 0"),
+        ("start", "board_fixed", 1.5, "start.board_fixed=1.5 must be a fraction from 0 to 1"),
+        ("start", "distance", [-1.0, 1.0], "start.distance=[-1.0, 1.0] must be >= 0 m"),
+        ("start", "edge_margin", math.inf, "start.edge_margin=inf must be >= 0 m and finite"),
+        (
+            "start",
+            "board_speed",
+            [-0.5, 0.5],
+            "start.board_speed=[-0.5, 0.5] must be >= 0 m/s; the direction is sampled separately",
+        ),
+        (
+            "start",
+            "height",
+            [-0.1, 0.0],
+            "start.height=[-0.1, 0.0] must be >= 0 m; the robot would start inside the ground",
+        ),
+        (
+            "start",
+            "pitch",
+            [0.0, 0.6],
+            "start.pitch=[0.0, 0.6] must be from -0.5 to 0.5 rad; with a larger tilt, more than the robot's feet would "
+            "touch the ground",
+        ),
+        ("board", "truck_angle", 3.0, "board.truck_angle=3.0 must be from 5 to 85 degrees from the vertical"),
+        ("board", "deck_color", [0.0, 2.0, 0.0], "board.deck_color=[0.0, 2.0, 0.0] must be three numbers from 0 to 1"),
+        ("robot", "kp", -1.0, "robot.kp is -1.0; use a number > 0"),
+        ("robot", "variant", "b1", "robot.variant is 'b1'; use one of: unitree, isaac"),
+    ],
+)
+def test_a_bad_setting_is_one_line_that_names_it(
+    group: str, setting: str, value: object, expected: str, make_settings: Callable[..., Any]
+) -> None:
+    with pytest.raises(ConfigError) as error:
+        make_settings(group, **{setting: value}).validate(group)
+    message = str(error.value)
+    assert message.startswith(expected) and "\n" not in message
+
+
+def test_no_pushes_is_a_valid_interval(make_settings: Callable[..., Any]) -> None:
+    make_settings("randomization", push_interval=None).validate()
+    with pytest.raises(ConfigError, match=r"randomization\.push_interval"):
+        make_settings("randomization", push_interval=[2.0, 1.0]).validate()
+
+
+def test_a_control_step_is_some_physics_steps(make_settings: Callable[..., Any]) -> None:
+    assert make_settings("physics", timestep=0.004, substeps=5).control_step == pytest.approx(0.02)

@@ -1,0 +1,76 @@
+"""The registry of terms, and the constants that terms share."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import pytest
+import torch
+from torch import Tensor
+
+from skatemount.envs import MountTask
+from skatemount.envs.terms import Registry, TaskContext
+from skatemount.utils.errors import ConfigError
+
+
+@pytest.fixture
+def registry() -> Registry:
+    made = Registry("reward")
+
+    @made.register("properties")
+    def hop(
+        sim: Tensor, episode: None, context: None, scale: float = 2.0, side: Literal["left", "right"] = "left"
+    ) -> Tensor:
+        return sim * scale if side == "left" else -sim * scale
+
+    return made
+
+
+def test_a_term_is_bound_to_its_parameters(registry: Registry) -> None:
+    assert registry.names() == ["hop"] and registry.attributes("hop") == "properties"
+    ones = torch.ones(2)
+    assert registry.bind("hop", {})(ones, None, None).tolist() == [2, 2]
+    assert registry.bind("hop", {"scale": 3, "side": "right"})(ones, None, None).tolist() == [-3, -3]
+
+
+def test_a_name_is_registered_once(registry: Registry) -> None:
+    def hop(sim: Tensor, episode: None, context: None) -> Tensor:
+        return sim
+
+    with pytest.raises(ValueError, match="'hop' is registered twice"):
+        registry.register()(hop)
+
+
+@pytest.mark.parametrize(
+    ("name", "params", "table", "expected"),
+    [
+        ("hup", {}, None, "reward.hup is not a known reward (did you mean hop?); known: hop"),
+        ("hop", {"size": 1}, None, "reward.hop.params.size is not a parameter; known: scale, side"),
+        ("hop", {"scale": 0.0}, None, "reward.hop.params.scale=0.0 must be above 0, because the term divides by it"),
+        ("hop", {"scale": "x"}, None, "reward.hop.params.scale=x must be of type float"),
+        ("hop", {"scale": True}, None, "reward.hop.params.scale=True must be of type float"),
+        ("hop", {"scale": float("nan")}, None, "reward.hop.params.scale=nan must be a finite number"),
+        ("hop", {"side": "up"}, "mine.table", "mine.table.hop.params.side=up must be left or right"),
+        ("hop", {"side": 1}, "mine.table", "mine.table.hop.params.side=1 must be left or right"),
+    ],
+)
+def test_errors_name_the_setting(registry: Registry, name: str, params: dict, table: str | None, expected: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        registry.bind(name, params, table)
+    assert str(error.value) == expected
+
+
+def test_constants_are_those_of_the_scene() -> None:
+    task = MountTask(stage="mount")
+    context = TaskContext.of(task.scene, 5.0)
+    step = task.config.physics.timestep * task.config.physics.substeps
+    assert context.control_step == step and context.episode_steps == round(5.0 / step)
+    assert context.deck_half == (task.config.board.deck_length / 2, task.config.board.deck_width / 2)
+    low, high = torch.as_tensor(task.scene.robot.joint_range, dtype=torch.float32).unbind(1)
+    soft_low, soft_high = context.soft_limits.unbind(1)
+    torch.testing.assert_close(soft_high - soft_low, 0.9 * (high - low))
+    torch.testing.assert_close(soft_high + soft_low, high + low)
+    # A hip at the angle of the stance lowers the foot a little less than the straight legs' projection.
+    thigh, calf = task.config.robot.thigh, task.config.robot.calf
+    reach = 0.2 * (torch.cos(torch.tensor(thigh)) + torch.cos(torch.tensor(thigh + calf)))
+    assert 0.9 * float(reach) < context.stance_height - context.foot_radius < 1.05 * float(reach)
