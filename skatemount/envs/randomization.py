@@ -131,7 +131,7 @@ class Pushes:
 
     @property
     def active(self) -> bool:
-        """Whether the settings ask for pushes."""
+        """True if the settings ask for pushes."""
         return self.config.push_interval is not None and self.config.push_velocity != _NOTHING_ADDED
 
     def _intervals(self, n: int) -> Tensor:

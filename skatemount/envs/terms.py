@@ -38,7 +38,7 @@ class TaskContext:
         deck_half: Half length and half width of the deck, m.
         deck_height: Height of the deck's top above the board's floor at rest, m.
         foot_radius: Radius of a foot, m.
-        stance_height: Height of the trunk's centre above the soles in the default pose, m.
+        stance_height: Height of the trunk's center above the soles in the default pose, m.
         episode_steps: Control steps of a full episode.
     """
 

@@ -98,7 +98,7 @@ def test_standing_share() -> None:
     assert bool((sampled(100, standing=1.0) == 0).all())
 
 
-def test_commands_are_drawn_anew_after_the_period() -> None:
+def test_commands_are_drawn_again_after_the_period() -> None:
     """Each world counts its own time, and in between nothing changes."""
     one = commander(mode="sampled", standing=0.0, deadband=0.0, resample=0.2)  # 5 control steps
     episode = EpisodeState.zeros(3)

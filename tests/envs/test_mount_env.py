@@ -70,7 +70,7 @@ def test_a_rollout_ends_where_asked(make_env) -> None:
     assert env.rollout(25, stand).batch_size == (3, 10)
 
 
-def test_a_partial_reset_starts_only_the_chosen_worlds_anew(make_env) -> None:
+def test_a_partial_reset_starts_only_the_chosen_worlds(make_env) -> None:
     env = make_env("mount", 4, QUIET)
     env.reset()
     for _ in range(3):
@@ -87,7 +87,7 @@ def test_a_partial_reset_starts_only_the_chosen_worlds_anew(make_env) -> None:
 
 
 def test_the_policy_remembers_what_it_saw_but_not_of_the_episode_before(make_env) -> None:
-    env = make_env("mount", 4, ["observation.history_length=3"])  # noise is on: it is remembered as it was seen
+    env = make_env("mount", 4, ["observation.history_length=3"])  # each frame keeps its noise
     sizes = [part["size"] // 3 for part in env.mdp.observation.layout()]  # of one frame
 
     def seen(td: TensorDict, ago: int) -> Tensor:
@@ -148,7 +148,7 @@ def test_the_true_last_observation_of_an_episode_is_kept(make_env) -> None:
         assert (short[key][:, 10] != short["next", key][:, 9]).any(-1).all()
 
 
-def test_episodes_begin_anew_as_torchrl_begins_them(make_env, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_episodes_begin_again_as_torchrl_begins_them(make_env, monkeypatch: pytest.MonkeyPatch) -> None:
     fast = run(make_env("unfixed", 6, (*PUSHED, *SHORT)), 25)
     assert fast["next", "done"].any()
     monkeypatch.delattr(MountEnv, "maybe_reset")
@@ -194,7 +194,7 @@ def test_steps_of_a_rollout_share_no_memory(make_env) -> None:
 
 @pytest.mark.parametrize("stage", ["unfixed", "gait"])
 def test_a_seed_reproduces_everything_at_any_number_of_threads(make_env, stage: str) -> None:
-    # Resets, randomised physics, noise, sampled commands and pushes included.
+    # Resets, randomized physics, noise, sampled commands and pushes included.
     overrides = (*PUSHED, "episode_length=0.6", "command.resample=0.2", "start.force=[-2.0,2.0]")
     one, two, other = (
         run(make_env(stage, 6, overrides, threads=threads, seed=seed), 40) for threads, seed in ((1, 5), (2, 5), (2, 6))
@@ -215,7 +215,7 @@ def test_seeding_again_begins_the_same_again(make_env) -> None:
     assert_equal(run(make_env("unfixed", 4, (*PUSHED, *SHORT), seed=3), 25), first)
     env.set_seed(4)
     assert not torch.equal(run(env, 25)["observation"], first["observation"])
-    for _ in range(2):  # neither randomised physics nor running episodes are carried over
+    for _ in range(2):  # neither randomized physics nor running episodes are carried over
         env.set_seed(3)
         assert_equal(run(env, 25), first)
     assert not torch.equal(run(env, 25)["observation"], first["observation"])

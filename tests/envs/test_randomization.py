@@ -136,7 +136,7 @@ def test_board_mass_and_inertia_can_be_drawn_together() -> None:
     torch.testing.assert_close(ratio[:, fields.index.trunk_body], torch.full((WORLDS, 3), 3.0, dtype=torch.float64))
 
 
-def test_the_centre_of_mass_moves_along_each_axis() -> None:
+def test_the_center_of_mass_moves_along_each_axis() -> None:
     fields, _ = build(trunk_com=[-0.02, 0.03])
     added = fields.added("body_ipos")
     moved = added[:, fields.index.trunk_body].clone()

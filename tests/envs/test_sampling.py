@@ -16,7 +16,7 @@ def test_coarse_noise_is_uniform_between_minus_one_and_one(shape: tuple[int, int
     if shape[0] < 1000:
         return
     assert -1 <= values.min() < -0.99 and 0.99 < values.max() < 1
-    # Mean and variance of a uniform distribution; neighbours come from one draw, and are independent all the same.
+    # Mean and variance of a uniform distribution; neighbors come from one draw, and are independent all the same.
     assert abs(float(values.mean())) < 0.03 and float(values.var()) == pytest.approx(1 / 3, abs=0.02)
     columns = torch.corrcoef(values.T) - torch.eye(7)
     assert float(columns.abs().max()) < 0.15

@@ -252,7 +252,7 @@ def test_the_time_to_mount_runs_from_the_first_contact_to_the_last_stretch(
     course.go(airborne, 10)
     course.go(sim, 30)  # mounted from step 31 on
     assert float(course.episode.first_contact) == pytest.approx(11 * STEP)
-    # The stretch that holds begins where step 31 does, the contact was seen at the end of step 11.
+    # The stretch that holds begins where step 31 does, and the contact at the end of step 11.
     assert float(time_to_mount(course.episode, STEP)) == pytest.approx((30 - 11) * STEP, abs=1e-4)
 
 

@@ -169,7 +169,7 @@ def test_episodes_follow_the_environments_random_state() -> None:
     assert (first[0] != first[4]).any()
 
 
-def test_randomised_physics_is_drawn_anew_for_each_episode_from_the_nominal_one() -> None:
+def test_randomized_physics_is_drawn_again_for_each_episode_from_the_nominal_one() -> None:
     env = composer_env("balance", ["randomization.trunk_mass=[0.5,1.0]"])
     masses = []
     for _ in range(6):

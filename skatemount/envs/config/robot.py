@@ -62,20 +62,20 @@ class A1Config:
         """
         if self.variant not in links.VARIANTS:
             known = ", ".join(links.VARIANTS)
-            raise ConfigError(f"{where}.variant is {self.variant!r}; use one of: {known}")
+            raise ConfigError(f"{where}.variant={self.variant} must be one of {known}")
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name != "variant" and not np.isfinite(value):
-                raise ConfigError(f"{where}.{field.name} is {value}; use a finite number")
+                raise ConfigError(f"{where}.{field.name}={value} must be a finite number")
         for name in ("kp", "torque_limit", "speed_limit", "action_clip"):
             if getattr(self, name) <= 0:
-                raise ConfigError(f"{where}.{name} is {getattr(self, name)}; use a number > 0")
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be above 0")
         scales = ("action_scale_hip", "action_scale_thigh", "action_scale_calf")
         passive = ("kd", "joint_friction", "joint_damping", "armature", "foot_friction")
         for name in scales + passive:
             if getattr(self, name) < 0:
-                raise ConfigError(f"{where}.{name} is {getattr(self, name)}; use a number >= 0")
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be >= 0")
         for name, link in (("hip_inward", "hip"), ("thigh", "thigh"), ("calf", "calf")):
             low, high = links.JOINT_RANGES[link]
             if not low <= getattr(self, name) <= high:
-                raise ConfigError(f"{where}.{name} is {getattr(self, name)}; use an angle in [{low}, {high}] rad")
+                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be from {low} to {high} rad")

@@ -62,8 +62,8 @@ def test_the_shipped_settings_are_valid(group: str, make_settings: Callable[...,
         ),
         ("board", "truck_angle", 3.0, "board.truck_angle=3.0 must be from 5 to 85 degrees from the vertical"),
         ("board", "deck_color", [0.0, 2.0, 0.0], "board.deck_color=[0.0, 2.0, 0.0] must be three numbers from 0 to 1"),
-        ("robot", "kp", -1.0, "robot.kp is -1.0; use a number > 0"),
-        ("robot", "variant", "b1", "robot.variant is 'b1'; use one of: unitree, isaac"),
+        ("robot", "kp", -1.0, "robot.kp=-1.0 must be above 0"),
+        ("robot", "variant", "b1", "robot.variant=b1 must be one of unitree, isaac"),
     ],
 )
 def test_a_bad_setting_is_one_line_that_names_it(

@@ -73,7 +73,7 @@ def test_total_mass(variant, mass):
 
 
 def test_robot_is_mirror_symmetric(robot):
-    """Reflecting y maps the left legs on the right ones: mass centres and inertias agree."""
+    """Reflecting y maps the left legs on the right ones: mass centers and inertias agree."""
     physics = mjcf.Physics.from_mjcf_model(robot.mjcf_model)
     flip = np.diag([1.0, -1.0, 1.0])
     for end in "FR":
@@ -295,7 +295,7 @@ def test_shank_stays_above_the_ball_of_the_foot(calf, pitch):
 )
 def test_bad_settings_are_named(setting, value):
     config = defaults.robot(**{setting: value})
-    with pytest.raises(ConfigError, match=rf"^robot\.{setting} is .*; use ") as error:
+    with pytest.raises(ConfigError, match=rf"^robot\.{setting}=.* must be ") as error:
         config.validate()
     assert "\n" not in str(error.value)
     with pytest.raises(ConfigError):

@@ -20,7 +20,7 @@ from skatemount.utils.errors import ConfigError
 PRESETS = ("default", "paper_text", "isaac", "longboard", "mini")
 GRAVITY = 9.81
 ROBOT_MASS = 12.453
-ROBOT_HEIGHT = 0.30  # of the trunk above the deck; the robot's centre of mass is a little lower
+ROBOT_HEIGHT = 0.30  # of the trunk above the deck; the robot's center of mass is a little lower
 
 
 def preset(name: str) -> SkateboardConfig:
@@ -95,7 +95,7 @@ class World:
 
         Args:
             seconds: how long.
-            force: N, at ``point`` of the board frame, or at the board's centre of mass.
+            force: N, at ``point`` of the board frame, or at the board's center of mass.
             torque: N m.
             point: m.
         """
@@ -321,7 +321,7 @@ def test_the_same_load_moves_the_free_deck() -> None:
     assert abs(world.lean) > math.radians(2)
 
 
-def test_the_root_frame_is_the_centre_of_the_decks_top() -> None:
+def test_the_root_frame_is_the_center_of_the_decks_top() -> None:
     world = World(defaults.board())
     site = world.physics.bind(world.board.deck_site)
     deck = world.physics.bind(world.board.deck_geom)

@@ -124,7 +124,7 @@ def test_paper_values(context: TaskContext, make_state: MakeState, make_episode:
     episode = make_episode(sim, action=action, command=command)
 
     p, r, b, s = matrices(sim)
-    origin = b - 0.088 * s[:, 2]  # on the ground under the deck's centre
+    origin = b - 0.088 * s[:, 2]  # on the ground under the deck's center
     relative = r.T @ s
     yaw = math.atan2(relative[1, 0], relative[0, 0]) % (2 * math.pi)
     points = [r.T @ (b + s @ (x, y, 0.012) - p) for x, y in PAPER_POINTS]

@@ -208,7 +208,7 @@ def test_forces_after_a_partial_reset_are_that_worlds_own(make_physics_and_start
         physics.step(hold(standing), SUBSTEPS)
     settled = physics.state()
     assert (settled.foot_deck_force.abs().sum((1, 2)) > 50).all()
-    # World 2 starts in the air, its neighbours go on standing: it must not show their forces, nor they its nothing.
+    # World 2 starts in the air while the others stand. Its forces must be zero, and theirs must not.
     in_the_air = starts()
     in_the_air.base_pos[:, 2] += 0.5
     physics.reset(only(2), in_the_air[2:3])

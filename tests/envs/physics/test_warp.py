@@ -92,7 +92,7 @@ def same(a: SimState, b: SimState, rows: Tensor) -> bool:
 
 
 def test_a_hundred_steps_like_those_of_the_cpu_engine(task: MountTask, pair: tuple[Physics, Physics]) -> None:
-    """Fixed and free boards, high and low steps, rolling ones, randomised worlds, partial resets."""
+    """Fixed and free boards, high and low steps, rolling ones, randomized worlds, partial resets."""
     for physics in pair:
         generator = torch.Generator().manual_seed(2)
         randomizer = Randomizer(task.config.randomization, physics.index, physics.model, generator)

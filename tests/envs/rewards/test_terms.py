@@ -31,7 +31,7 @@ def stance(**changes: float) -> list[float]:
 
 
 def at_deck(*points: tuple[float, float, float]) -> dict[str, Any]:
-    """Feet at places of the board frame, the deck's centre being at (0, 0, 0.088)."""
+    """Feet at places of the board frame, the deck's center being at (0, 0, 0.088)."""
     return {"foot_pos": [[x, y, z + 0.088] for x, y, z in points]}
 
 
@@ -49,7 +49,7 @@ CASES: list[tuple[str, dict, dict, dict, float]] = [
     ("upward", {}, {}, {}, 4),
     ("upward", {}, {"base_rpy": (math.pi, 0, 0)}, {}, 0),
     ("upward", {}, {"base_rpy": (0, QUARTER, 0)}, {}, 1),
-    # Soles 0.3 m below the trunk's centre are the stance; ours measures from them wherever the robot stands.
+    # Soles 0.3 m below the trunk's center are the stance; ours measures from them wherever the robot stands.
     ("base_height", {}, {"base": (0, 0, 0.388), **FEET}, {}, 0),
     ("base_height", {}, {"base": (0, 0, 0.288), **FEET}, {}, 0.01),
     ("base_height", {"target": 0.25}, {"base": (0, 0, 0.388), **FEET}, {}, 0.0025),
