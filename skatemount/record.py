@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
-from collections.abc import Generator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,70 +12,96 @@ if TYPE_CHECKING:
     from skatemount.config import RecordConfig
 
 MAX_RATE = 60.0
-"""Pictures a second; of faster control only every so many steps is shown."""
+"""Pictures a second; of a faster control rate only every so many steps are shown."""
+
+HOLD = 1.2
+"""Seconds that the last picture, which tells the outcome, is shown."""
+
+STRIP_WIDTH = 640
+"""Pixels of a picture in the filmstrip."""
 
 
 def record(config: RecordConfig, overrides: list[str]) -> None:
-    """Film one episode with deterministic actions: an MP4 and a filmstrip of six pictures.
+    """Film one episode with deterministic actions: an MP4, a filmstrip of six pictures, and a GIF on request.
 
-    It is an episode of the evaluation with the same settings, run again step for step; the first one unless ``episode``
-    says which, whatever comes of it.
+    The episode is one of the evaluation with the same settings, repeated step for step: the first success, or the one
+    that ``episode`` names. The last picture tells the outcome.
 
     Settings: ``checkpoint``, ``suite`` and ``seed`` as for `skatemount.evaluate`, ``episode`` (its number there),
-    ``output`` (folder; the run's ``videos`` for a checkpoint of a run, else ``videos`` here), and any setting of the
-    task.
+    ``film`` (see `skatemount.config.film.FilmConfig`), ``output`` (folder; the default is ``videos`` of the
+    checkpoint's run, or ``videos`` here for a policy without a run), and any setting of the task.
 
     Args:
         config: As composed from the command line.
-        overrides: What the user asked for.
+        overrides: The settings that the user gave.
 
     Raises:
-        ConfigError: No such policy or suite, the policy does not fit the task, or nothing here can draw.
+        ConfigError: There is no such policy or suite, the policy does not fit the task, or there is no OpenGL.
     """
     import numpy as np
     from rich.progress import track
 
     from skatemount.evaluation.suite_task import EvaluationTask
-    from skatemount.rendering import renderer as rendering
+    from skatemount.rendering import overlay
+    from skatemount.rendering.camera import VIEWS, camera_path
     from skatemount.rendering.playback import replay_episode
+    from skatemount.rendering.renderer import EpisodeRenderer
+    from skatemount.rendering.video import GifWriter, mp4_writer
     from skatemount.runs import atomic
     from skatemount.utils.errors import ConfigError
 
+    film = config.film
+    assert film is not None  # only settings that a run has saved lack it
     if config.suite is not None and config.suite.members:
         raise ConfigError(f"suite={config.suite.name}: name one to film, of {', '.join(config.suite.members)}")
     (trial,) = EvaluationTask.prepare(config, overrides)
     episode = replay_episode(trial, config.episode)
     frames = episode.frames
     folder = Path(config.output) if config.output else default_folder(trial.agent.path)
-    name = f"{trial.file_stem}_episode{config.episode}"
-    film, strip = folder / f"{name}.mp4", folder / f"{name}.png"
+    name = f"{trial.file_stem}_episode{episode.number}"
+    paths = [folder / f"{name}{ending}" for ending in (".mp4", ".png", ".gif")[: 3 if film.gif else 2]]
 
-    chosen = rendering.choose_frames(frames)
-    every = math.ceil(1 / episode.control_step / MAX_RATE - 1e-6)
-    painter = rendering.EpisodeRenderer(episode.model, episode.subjects, episode.feet)
-    pictures = []
-    with atomic.replacing(film) as temporary:
-        writer = _writer(temporary, 1 / episode.control_step / every, painter.size)
-        steps = range(len(frames))
-        for i in track(steps, "drawing", transient=True, disable=not sys.stdout.isatty()):
-            if i % every and i not in chosen:
+    rate = film.speed / episode.control_step
+    every = math.ceil(rate / MAX_RATE - 1e-6)
+    rate /= every
+    chosen = overlay.choose_frames(frames)
+    last = len(frames) - 1
+    aspect = film.width / film.height
+    path = camera_path(
+        VIEWS[film.camera], episode.robot, episode.board, episode.heading, aspect, episode.control_step
+    )
+    strip = []
+    gif = GifWriter(rate)
+    with contextlib.ExitStack() as stack:
+        painter = EpisodeRenderer(episode.model, episode.feet, film.width, film.height)
+        stack.callback(painter.close)
+        temporary = [stack.enter_context(atomic.replacing(each)) for each in paths]
+        writer = stack.enter_context(mp4_writer(temporary[0], rate, painter.size))
+        for i in track(range(len(frames)), "drawing", transient=True, disable=not sys.stdout.isatty()):
+            shown = i % every == 0 or i == last
+            if not shown and i not in chosen:
                 continue
-            picture = painter.draw(frames[i])
+            picture = painter.draw(frames[i], path[i])
             if i in chosen:
-                small = picture.resize((picture.width * 2 // 3, picture.height * 2 // 3))
-                pictures.append(rendering.draw_overlay(small, frames[i]))
-            if not i % every:
-                writer.send(np.asarray(rendering.draw_overlay(picture, frames[i], scale=1.2)).tobytes())
-        writer.close()
-    painter.close()
-    with atomic.replacing(strip) as temporary:
-        rendering.filmstrip(pictures).save(temporary, format="png", optimize=True)
-    print(f"{trial.agent.name} on {trial.name}, seed {config.seed}, episode {config.episode}: {episode.summary}")
-    print(f"written to {film} and {strip}")
+                small = picture.resize((STRIP_WIDTH, round(STRIP_WIDTH / aspect)))
+                strip.append(overlay.draw_overlay(small, frames[i]))
+            if shown:
+                picture = overlay.draw_overlay(picture, frames[i])
+                for _ in range(max(1, round(HOLD * rate)) if i == last else 1):
+                    writer.send(np.asarray(picture).tobytes())
+            if film.gif and shown and i != last:
+                gif.add(picture)
+        overlay.filmstrip(strip).save(temporary[1], format="png", optimize=True)
+        if film.gif:
+            gif.save(temporary[2], picture, HOLD)
+    reason = f", {episode.choice}" if episode.choice else ""
+    print(f"{trial.agent.name} on {trial.name}, seed {config.seed}, episode {episode.number}{reason}")
+    print(f"episode {episode.number}: {episode.summary}")
+    print(f"written to {' and '.join(str(each) for each in paths)}")
 
 
 def default_folder(policy: Path) -> Path:
-    """Where films of a policy go: to its run's, or to ``videos`` here if it is no run's."""
+    """Return the folder for films of a policy: its run's, or ``videos`` here if it has no run."""
     from skatemount.runs.folder import RunFolder
     from skatemount.utils.errors import ConfigError
 
@@ -83,28 +109,6 @@ def default_folder(policy: Path) -> Path:
         return RunFolder.open(policy if policy.is_dir() else policy.parent).videos
     except ConfigError:
         return Path("videos")
-
-
-def _writer(path: Path, rate: float, size: tuple[int, int]) -> Generator[None, bytes | None, None]:
-    """Takes pictures as bytes and makes an MP4 that every browser plays."""
-    import imageio_ffmpeg
-
-    from skatemount.utils.errors import ConfigError
-
-    try:
-        writer = imageio_ffmpeg.write_frames(
-            str(path),
-            size,
-            fps=rate,
-            codec="libx264",
-            quality=7,
-            # The file's temporary name does not tell its format.
-            output_params=["-f", "mp4", "-movflags", "+faststart"],
-        )
-        writer.send(None)
-    except (RuntimeError, OSError) as error:
-        raise ConfigError(f"no film: {' '.join(str(error).split())}; pip install imageio-ffmpeg") from error
-    return writer
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 
 from skatemount.config.bench import BenchConfig
+from skatemount.config.film import FilmConfig
 from skatemount.config.schema import Config, check_root, check_seed
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.config.task import TaskConfig
@@ -83,16 +84,19 @@ class RecordConfig(PolicyConfig):
     """Settings of `python -m skatemount.record`; ``conf/record.yaml`` has the defaults.
 
     Attributes:
-        episode: Number of the episode to film, as the evaluation counts.
+        episode: Number of the episode to film, as the evaluation counts; null films the first success.
+        film: Size, camera and speed of the film.
     """
 
-    episode: int
+    episode: int | None
+    film: FilmConfig
 
     def validate(self) -> None:
         """Raise `ConfigError` for the first setting that cannot be used."""
         super().validate()
-        if not 0 <= self.episode <= MAX_EPISODE:
-            raise ConfigError(f"episode={self.episode} must be 0 or more, and at most {MAX_EPISODE}")
+        self.film.validate("film")
+        if self.episode is not None and not 0 <= self.episode <= MAX_EPISODE:
+            raise ConfigError(f"episode={self.episode} must be null, or 0 to {MAX_EPISODE}")
 
 
 @dataclass

@@ -91,6 +91,10 @@ class Physics(Protocol):
         """
         ...
 
+    def poses(self, worlds: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Return copies of ``qpos`` ``[K, nq]`` and ``mocap_pos`` ``[K, nmocap, 3]`` of some worlds, for films."""
+        ...
+
     def overflowed(self) -> str | None:
         """Return an error message if contacts were dropped since the last call, else None.
 

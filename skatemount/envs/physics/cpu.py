@@ -156,6 +156,10 @@ class CpuPhysics:
         """Return a model with visuals, and data with one world's pose; see `Physics.render_data`."""
         return posed_data(self._visual_model, self._qpos[i], self._qvel[i], self._mocap[i])
 
+    def poses(self, worlds: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Return copies of the positions of some worlds; see `Physics.poses`."""
+        return self._qpos[worlds].copy(), self._mocap[worlds].copy()
+
     def close(self) -> None:
         """Stop the threads and free the worlds."""
         del self._batch

@@ -330,6 +330,11 @@ class WarpPhysics:
         qpos, qvel, mocap = (self._state[name][i].cpu().numpy() for name in ("qpos", "qvel", "mocap_pos"))
         return posed_data(self._visual_model, qpos, qvel, mocap)
 
+    def poses(self, worlds: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Return copies of the positions of some worlds; see `Physics.poses`."""
+        # A copy also on a CPU, and in the precision of the other engine.
+        return self._state["qpos"][worlds].double().cpu().numpy(), self._state["mocap_pos"][worlds].double().cpu().numpy()
+
     def close(self) -> None:
         """Free the worlds."""
         del self._all, self._few, self._state
