@@ -67,9 +67,7 @@ def record(config: RecordConfig, overrides: list[str]) -> None:
     chosen = overlay.choose_frames(frames)
     last = len(frames) - 1
     aspect = film.width / film.height
-    path = camera_path(
-        VIEWS[film.camera], episode.robot, episode.board, episode.heading, aspect, episode.control_step
-    )
+    path = camera_path(VIEWS[film.camera], episode.robot, episode.board, episode.heading, aspect, episode.control_step)
     strip = []
     gif = GifWriter(rate)
     with contextlib.ExitStack() as stack:

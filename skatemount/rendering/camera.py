@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -16,8 +16,11 @@ FIELD_OF_VIEW = 32.0
 MARGIN, LABEL_ROOM = 0.92, 0.2
 """Shares of half a picture: the part that the subjects may fill, and the part at the bottom kept free for the label."""
 
-REACH = 1.3
+REACH = 1.1
 """Distance from the robot, m, up to which the moving cameras keep the board in the picture."""
+
+APART = 0.8
+"""Distance in the picture between robot and board, m, from which on they do not hide each other."""
 
 SHIFT_TIME, ZOOM_TIME = 0.4, 0.8
 """Half widths of the windows, s, over which place and distance of a moving camera are averaged."""
@@ -28,21 +31,22 @@ class View:
     """Direction of a camera.
 
     Attributes:
-        azimuth: Direction of sight about the vertical, degrees from the board's heading.
+        azimuths: Directions of sight about the vertical, degrees from the board's heading. The first is taken unless
+            the board is hidden less from another one.
         elevation: Degrees above the horizontal; negative values look down.
         moves: Whether the camera follows its subjects.
     """
 
-    azimuth: float
+    azimuths: tuple[float, ...]
     elevation: float
     moves: bool = True
 
 
 VIEWS = {
-    "follow": View(128.0, -20.0),
-    "side": View(90.0, -8.0),
-    "top": View(90.0, -90.0),
-    "fixed": View(128.0, -20.0, moves=False),
+    "follow": View((128.0, -128.0, 52.0, -52.0), -20.0),
+    "side": View((90.0, -90.0), -8.0),
+    "top": View((90.0,), -90.0),
+    "fixed": View((128.0, -128.0, 52.0, -52.0), -20.0, moves=False),
 }
 """Views by the value of ``film.camera``."""
 
@@ -113,7 +117,8 @@ def camera_path(
     Returns:
         The path, for a field of view of `FIELD_OF_VIEW`.
     """
-    axes = _axes(math.radians(heading + view.azimuth), math.radians(view.elevation))
+    azimuth = heading + _best_azimuth(view.azimuths, heading, (board.mean(1) - robot.mean(1))[:, :2])
+    axes = _axes(math.radians(azimuth), math.radians(view.elevation))
     count = len(robot)
     if view.moves:
         shift, zoom = (math.ceil(seconds / time_step) for seconds in (SHIFT_TIME, ZOOM_TIME))
@@ -136,7 +141,29 @@ def camera_path(
     middle = _average(_windows(np.mean, seen[..., 2].mean(1, keepdims=True), shift), shift)
     position = np.concatenate((place, -back), 1) @ axes
     look_at = np.concatenate((place, middle), 1) @ axes
-    return CameraPath(heading + view.azimuth, view.elevation, axes, position, look_at)
+    return CameraPath(azimuth, view.elevation, axes, position, look_at)
+
+
+def _best_azimuth(azimuths: Sequence[float], heading: float, away: np.ndarray) -> float:
+    """Return the azimuth from which the robot hides the board least while it walks up to it.
+
+    A board in front of the robot is not hidden, as the camera looks down. A board behind the robot is hidden the less,
+    the farther the two are apart in the picture.
+
+    Args:
+        azimuths: To choose from, degrees from the heading.
+        heading: Of the board, degrees.
+        away: ``[T, 2]`` from the robot to the board in the plane, m.
+    """
+    walking = away[np.linalg.norm(away, axis=1) > APART / 2]
+    if not len(walking):
+        return azimuths[0]
+    seen = []
+    for azimuth in azimuths:
+        right, _, forward = _axes(math.radians(heading + azimuth), 0.0)[:, :2] @ walking.T
+        seen.append(float(np.where(forward < 0, APART, np.minimum(np.abs(right), APART)).mean()))
+    best = int(np.argmax(seen))
+    return azimuths[best if seen[best] > seen[0] + APART / 10 else 0]
 
 
 def _axes(azimuth: float, elevation: float) -> np.ndarray:

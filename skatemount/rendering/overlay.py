@@ -66,7 +66,8 @@ def draw_overlay(picture: Image.Image, frame: Frame) -> Image.Image:
     bottom = picture.height - margin - panel.height
     result.alpha_composite(panel, (margin, bottom))
     if frame.outcome:
-        result.alpha_composite(_outcome(frame, size, picture.width - 2 * margin), (margin, margin))
+        left = 2 * margin + panel.width
+        result.alpha_composite(_outcome(frame, size, panel.height, picture.width - margin - left), (left, bottom))
     return result.convert("RGB")
 
 
@@ -116,14 +117,14 @@ def _contacts(frame: Frame, size: int) -> Image.Image:
     return _panel((f"{frame.time:.2f} s", states, frame.word), size)
 
 
-def _outcome(frame: Frame, size: int, room: int) -> Image.Image:
-    """Return the panel at the top: the end of the episode, in one line that fits into ``room`` pixels."""
-    while size > 8 and _font(size).getlength(frame.outcome) + 2 * size > room:
+def _outcome(frame: Frame, size: int, height: int, room: int) -> Image.Image:
+    """Return the panel beside it: the end of the episode, in letters so small that it fits into ``room`` pixels."""
+    while size > 6 and _font(size).getlength(frame.outcome) + 2 * size > room:
         size -= 1
-    width, height = round(_font(size).getlength(frame.outcome)) + 2 * size, round(size * 2.2)
+    width = min(room, round(_font(size).getlength(frame.outcome)) + 2 * size)
     panel = Image.new("RGBA", (width * 2, height * 2), (0, 0, 0, 0))
     draw = ImageDraw.Draw(panel)
-    draw.rounded_rectangle((0, 0, panel.width - 1, panel.height - 1), radius=size, fill=(*PANEL, 225))
+    draw.rounded_rectangle((0, 0, panel.width - 1, panel.height - 1), radius=height // 2, fill=(*PANEL, 205))
     ink = DECK if frame.succeeded else FAILED
     draw.text((width, height), frame.outcome, font=_font(size * 2), fill=ink, anchor="mm")
     return panel.resize((width, height), Image.Resampling.LANCZOS)

@@ -192,7 +192,9 @@ def _episode(evaluator: Evaluator, record: EpisodeRecords, frames: list[Frame]) 
     )
     points = _points(model, frames, (robot, board))
     summary = _summary(evaluator, record, frames[-1])
-    frames[-1].outcome, frames[-1].succeeded = summary, bool(record.success)
+    succeeded = bool(record.success)
+    frames[-1].succeeded = succeeded
+    frames[-1].outcome = "success" if succeeded else f"failed: {in_words(evaluator.ends[int(record.end)])}"
     return Episode(
         number=int(record.number),
         frames=frames,

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from skatemount.rendering import opengl
-from skatemount.rendering.camera import FIELD_OF_VIEW, CameraPath
+from skatemount.rendering.camera import FIELD_OF_VIEW
 from skatemount.rendering.overlay import DECK, Frame
 from skatemount.utils.errors import ConfigError
 
@@ -19,9 +19,9 @@ OVERSAMPLING = 1.5
 """Pictures are drawn larger by this factor and shrunk. Without a graphics card this smooths edges in a third of the
 time that OpenGL's own antialiasing takes."""
 
-SHADOW_SIZE = 1024
-SHADOW_SCALE = 0.16
-"""Resolution of the shadow, and its part of the light's cone: 4 mm on the floor, as the light follows the robot."""
+SHADOW_SIZE = 1536
+SHADOW_SCALE = 0.13
+"""Resolution of the shadow, and its part of the light's cone: 2 mm on the floor, as the light follows the robot."""
 
 
 class EpisodeRenderer:

@@ -29,7 +29,7 @@ def mp4_writer(path: Path, rate: float, size: tuple[int, int]) -> Iterator[Gener
         A generator that takes each picture as RGB bytes by `send`.
 
     Raises:
-        ConfigError: There is no ffmpeg, or it cannot write the file.
+        ConfigError: There is no ffmpeg.
     """
     writer = imageio_ffmpeg.write_frames(
         str(path),
@@ -43,11 +43,10 @@ def mp4_writer(path: Path, rate: float, size: tuple[int, int]) -> Iterator[Gener
     )
     try:
         writer.send(None)
-        yield writer
     except (RuntimeError, OSError) as error:
         raise ConfigError(f"no film: {' '.join(str(error).split())}; pip install imageio-ffmpeg") from error
-    finally:
-        writer.close()
+    with contextlib.closing(writer):
+        yield writer
 
 
 class GifWriter:

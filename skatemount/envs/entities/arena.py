@@ -78,10 +78,10 @@ class MountArena(composer.Arena):
             name="floor",
             type="2d",
             builtin="checker",
-            rgb1=(0.74, 0.77, 0.80),
-            rgb2=(0.64, 0.68, 0.72),
+            rgb1=(0.53, 0.58, 0.63),
+            rgb2=(0.47, 0.52, 0.57),
             mark="edge",
-            markrgb=(0.80, 0.83, 0.85),
+            markrgb=(0.60, 0.65, 0.70),
             width=512,
             height=512,
         )

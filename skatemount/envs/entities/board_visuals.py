@@ -77,7 +77,7 @@ def add_materials(root: mjcf.RootElement, config: SkateboardConfig) -> None:
     visual.set_attributes(contype=0, conaffinity=0, group=VISUAL_GROUP, mass=0)
     for name, rgb, shine in (
         ("wood", config.deck_color, 0.25),
-        ("grip", (0.16, 0.16, 0.175), 0.05),
+        ("grip", [0.92 * each for each in config.deck_color], 0.05),
         ("wheel", config.wheel_color, 0.5),
         ("core", (0.96, 0.95, 0.92), 0.4),
         ("metal", (0.72, 0.74, 0.77), 0.8),

@@ -10,6 +10,7 @@ from typing import Any
 
 import mujoco
 import mujoco_warp as mjw
+import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
@@ -332,8 +333,9 @@ class WarpPhysics:
 
     def poses(self, worlds: slice) -> tuple[np.ndarray, np.ndarray]:
         """Return copies of the positions of some worlds; see `Physics.poses`."""
-        # A copy also on a CPU, and in the precision of the other engine.
-        return self._state["qpos"][worlds].double().cpu().numpy(), self._state["mocap_pos"][worlds].double().cpu().numpy()
+        # Copies also on a CPU, and in the precision of the other engine.
+        qpos, mocap_pos = (self._state[name][worlds].double().cpu().numpy() for name in ("qpos", "mocap_pos"))
+        return qpos, mocap_pos
 
     def close(self) -> None:
         """Free the worlds."""
