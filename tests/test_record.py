@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 from pathlib import Path
+from typing import Any
 
 import imageio_ffmpeg
 import numpy as np
@@ -19,7 +20,7 @@ from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import Evaluator
 from skatemount.evaluation.suite_task import EvaluationTask
 from skatemount.models.actor_critic import ActorCritic
-from skatemount.record import default_folder, record
+from skatemount.record import HOLD, default_folder, record
 from skatemount.rendering.playback import replay_episode
 from skatemount.runs.checkpoint import save_checkpoint
 from skatemount.runs.folder import RunFolder
@@ -46,24 +47,81 @@ def checkpoint(runs_root: Path) -> Path:
     return folder
 
 
+SHORT = ["episode_length=0.12", "physics.threads=1", "physics.num_worlds=4"]
+
+
+def film(checkpoint: Path, *overrides: str) -> list[Path]:
+    record(compose_program("record", [*SHORT, *overrides]), [*SHORT, *overrides])
+    return sorted((checkpoint.parent.parent / "videos").iterdir())
+
+
+def read(path: Path) -> tuple[dict[str, Any], list[np.ndarray]]:
+    frames = imageio_ffmpeg.read_frames(str(path))
+    about = next(frames)
+    width, height = about["size"]
+    return about, [np.frombuffer(f, np.uint8).reshape(height, width, 3).astype(int) for f in frames]
+
+
 @needs_opengl
 def test_makes_a_film_and_a_filmstrip(checkpoint: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    overrides = ["episode_length=0.12", "physics.threads=1", "physics.num_worlds=4", "episode=2"]
-    record(compose_program("record", overrides), overrides)
-    videos = checkpoint.parent.parent / "videos"
-    film, strip = sorted(videos.iterdir())
+    mp4, strip = film(checkpoint, "episode=2")
     printed = capsys.readouterr().out
-    assert film.name in printed and strip.name in printed
-    assert "balance, seed 0, episode 2: " in printed and "episode2.mp4" in printed
-
-    frames = imageio_ffmpeg.read_frames(str(film))
-    about = next(frames)
-    pictures = [np.frombuffer(f, np.uint8) for f in frames]
-    assert (about["size"], about["fps"], len(pictures)) == ((960, 720), 25.0, 4)
+    assert mp4.name in printed and strip.name in printed
+    assert "balance, seed 0, episode 2\n" in printed and "episode2.mp4" in printed
+    about, pictures = read(mp4)
+    assert (about["size"], about["fps"]) == ((720, 540), 25.0)
+    assert len(pictures) == 3 + round(HOLD * 25)  # the last one stays
     assert pictures[0].std() > 20  # something is to be seen
-    assert (pictures[0] != pictures[-1]).mean() > 0.01  # and it moves
+    assert (np.abs(pictures[0] - pictures[3]).max(-1) > 20).mean() > 0.01  # and it moves
+    assert np.abs(pictures[4] - pictures[-1]).mean() < 1
     with Image.open(strip) as picture:
         assert picture.size == (3 * 640 + 2 * 8, 2 * 480 + 8)  # of four frames
+
+
+@needs_opengl
+def test_without_a_success_it_says_so(checkpoint: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mp4, _ = film(checkpoint, "film.width=160", "film.height=120")
+    printed = capsys.readouterr().out
+    assert "episode 0, none of the first 4 episodes succeeded" in printed
+    assert "episode 0: failed, not mounted at the time limit" in printed
+    assert "episode0" in mp4.name
+
+
+@needs_opengl
+def test_size_speed_and_gif_are_settings(checkpoint: Path) -> None:
+    settings = ["episode=1", "film.width=320", "film.height=180", "film.speed=0.5", "film.gif=true"]
+    gif, mp4, _ = film(checkpoint, *settings)
+    about, pictures = read(mp4)
+    assert (about["size"], about["fps"]) == ((320, 180), 12.5)
+    assert len(pictures) == 3 + round(HOLD * 12.5)
+    with Image.open(gif) as picture:
+        assert (picture.format, picture.size) == ("GIF", (480, 270))
+        durations = []
+        for i in range(picture.n_frames):
+            picture.seek(i)
+            durations.append(picture.info["duration"])
+        assert durations[:-1] == [80] * (len(durations) - 1)
+        assert durations[-1] == HOLD * 1000
+        assert picture.info["loop"] == 0
+
+
+@needs_opengl
+def test_a_fast_film_skips_steps(checkpoint: Path) -> None:
+    small = ["episode=1", "film.width=160", "film.height=120"]
+    mp4, _ = film(checkpoint, *small, "film.speed=5")
+    about, pictures = read(mp4)
+    assert about["fps"] == pytest.approx(125 / 3, abs=0.1)
+    assert len(pictures) == 1 + round(HOLD * 125 / 3)
+
+
+@needs_opengl
+def test_cameras_differ(checkpoint: Path) -> None:
+    seen = []
+    for camera in ("follow", "side", "top"):
+        mp4, _ = film(checkpoint, "episode=1", "film.width=160", "film.height=120", f"film.camera={camera}")
+        seen.append(read(mp4)[1][0])
+    for one, other in ((0, 1), (0, 2), (1, 2)):
+        assert np.abs(seen[one] - seen[other]).mean() > 10
 
 
 def test_films_go_to_their_run(checkpoint: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from skatemount.utils.errors import ConfigError
 
 CAMERAS = ("follow", "side", "top", "fixed")
 
-SIZES = {"width": (64, 3840), "height": (64, 2160)}
+SIZES = {"width": (160, 3840), "height": (120, 2160)}
 """Smallest and largest value of each, pixels."""
 
 

@@ -60,14 +60,17 @@ def draw_overlay(picture: Image.Image, frame: Frame) -> Image.Image:
         A picture of the same size.
     """
     result = picture.convert("RGBA")
-    size = max(8, min(round(picture.height * 0.038), picture.width // 26))
+    size = max(5, min(round(picture.height * 0.038), picture.width // 26))
     margin = round(size * 0.7)
     panel = _contacts(frame, size)
     bottom = picture.height - margin - panel.height
     result.alpha_composite(panel, (margin, bottom))
     if frame.outcome:
-        left = 2 * margin + panel.width
-        result.alpha_composite(_outcome(frame, size, panel.height, picture.width - margin - left), (left, bottom))
+        left, room = 2 * margin + panel.width, picture.width - panel.width - 3 * margin
+        if _font(size).getlength(frame.outcome) + 2 * size > 1.5 * room:
+            left, room = margin, picture.width - 2 * margin
+            bottom -= panel.height + margin
+        result.alpha_composite(_outcome(frame, size, panel.height, room), (left, bottom))
     return result.convert("RGB")
 
 
@@ -118,8 +121,8 @@ def _contacts(frame: Frame, size: int) -> Image.Image:
 
 
 def _outcome(frame: Frame, size: int, height: int, room: int) -> Image.Image:
-    """Return the panel beside it: the end of the episode, in letters so small that it fits into ``room`` pixels."""
-    while size > 6 and _font(size).getlength(frame.outcome) + 2 * size > room:
+    """Return the panel beside or above it: the end of the episode, in letters so small that ``room`` pixels do."""
+    while size > 5 and _font(size).getlength(frame.outcome) + 2 * size > room:
         size -= 1
     width = min(room, round(_font(size).getlength(frame.outcome)) + 2 * size)
     panel = Image.new("RGBA", (width * 2, height * 2), (0, 0, 0, 0))

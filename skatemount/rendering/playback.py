@@ -190,7 +190,7 @@ def _episode(evaluator: Evaluator, record: EpisodeRecords, frames: list[Frame]) 
     robot, board = (
         int(model.body_rootid[model.body(frame.full_identifier).id]) for frame in (scene.robot_frame, scene.board_frame)
     )
-    points = _points(model, frames, (robot, board))
+    points = visible_points(model, frames, (robot, board))
     summary = _summary(evaluator, record, frames[-1])
     succeeded = bool(record.success)
     frames[-1].succeeded = succeeded
@@ -209,7 +209,7 @@ def _episode(evaluator: Evaluator, record: EpisodeRecords, frames: list[Frame]) 
     )
 
 
-def _points(model: mujoco.MjModel, frames: Sequence[Frame], roots: Sequence[int]) -> list[np.ndarray]:
+def visible_points(model: mujoco.MjModel, frames: Sequence[Frame], roots: Sequence[int]) -> list[np.ndarray]:
     """Return ``[T, K, 3]`` corners of the boxes around the visible geoms of each tree of bodies, m."""
     data = mujoco.MjData(model)
     corners = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), -1).reshape(1, 8, 3)

@@ -16,8 +16,8 @@ from skatemount.rendering.overlay import DECK, Frame
 from skatemount.utils.errors import ConfigError
 
 OVERSAMPLING = 1.5
-"""Pictures are drawn larger by this factor and shrunk. Without a graphics card this smooths edges in a third of the
-time that OpenGL's own antialiasing takes."""
+"""Pictures are drawn larger by this factor and shrunk. Without a graphics card this smooths edges in two
+thirds of the time that OpenGL's own antialiasing takes."""
 
 SHADOW_SIZE = 1536
 SHADOW_SCALE = 0.13
@@ -52,7 +52,7 @@ class EpisodeRenderer:
         vis.global_.fovy = FIELD_OF_VIEW
         vis.global_.offwidth, vis.global_.offheight = drawn
         vis.quality.offsamples, vis.quality.shadowsize, vis.map.shadowscale = 0, SHADOW_SIZE, SHADOW_SCALE
-        vis.quality.numslices, vis.quality.numstacks = 16, 8
+        vis.quality.numslices, vis.quality.numstacks = 12, 6
         try:
             self._renderer = mujoco.Renderer(model, height=drawn[1], width=drawn[0])
         except Exception as error:  # each OpenGL library fails in its own way

@@ -39,7 +39,7 @@ def mp4_writer(path: Path, rate: float, size: tuple[int, int]) -> Iterator[Gener
         quality=None,
         macro_block_size=2,
         # The temporary name of the file does not tell its format.
-        output_params=["-crf", "21", "-preset", "fast", "-f", "mp4", "-movflags", "+faststart"],
+        output_params=["-crf", "21", "-preset", "veryfast", "-f", "mp4", "-movflags", "+faststart"],
     )
     try:
         writer.send(None)

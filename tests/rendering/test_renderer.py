@@ -1,108 +1,113 @@
-"""Labels, filmstrips and the camera's place; what needs no OpenGL."""
+"""Pictures of the scene; needs OpenGL without a display."""
 
 from __future__ import annotations
 
-import math
+import os
+from collections.abc import Iterator
 
+import mujoco
 import numpy as np
 import pytest
-from PIL import Image
 
-from skatemount.rendering.renderer import (
-    DECK,
-    FIELD_OF_VIEW,
-    GROUND,
-    LABEL_ROOM,
-    MARGIN,
-    Frame,
-    choose_frames,
-    draw_overlay,
-    filmstrip,
-    frame_camera,
+from skatemount.envs.scene import Scene
+from skatemount.rendering.camera import VIEWS, CameraPath, camera_path
+from skatemount.rendering.overlay import Frame
+from skatemount.rendering.playback import visible_points
+from skatemount.rendering.renderer import EpisodeRenderer
+
+pytestmark = pytest.mark.skipif(
+    os.environ.get("MUJOCO_GL") not in ("egl", "osmesa"), reason="needs OpenGL without a display"
 )
+WIDTH, HEIGHT = 160, 120
 
 
-def moment(time: float = 0.0, mounted: bool = False, deck: str = "0000", touching: str = "0000") -> Frame:
-    def flags(text: str) -> list[bool]:
-        return [c == "1" for c in text]
-
-    return Frame(time, flags(deck), flags(touching), mounted, np.zeros(0), np.zeros((0, 3)))
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene()
 
 
-def project(camera: object, points: np.ndarray, aspect: float) -> np.ndarray:
-    """Points in the picture, its edges at -1 and 1."""
-    azimuth, elevation = math.radians(camera.azimuth), math.radians(camera.elevation)
-    flat = math.cos(elevation)
-    forward = np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
-    right = np.cross(forward, (0, 0, 1))
-    right /= np.linalg.norm(right)
-    seen = points - (camera.lookat - camera.distance * forward)
-    up = np.cross(right, forward)
-    reach = seen @ forward * math.tan(math.radians(FIELD_OF_VIEW / 2))
-    return np.stack((seen @ right / reach / aspect, seen @ up / reach), 1)
+@pytest.fixture(scope="module")
+def model(scene: Scene) -> mujoco.MjModel:
+    return scene.compile()
 
 
-@pytest.mark.parametrize("spread", [(0.5, 0.5, 0.2), (3.0, 0.2, 0.2), (0.1, 0.1, 2.0)])
-def test_the_camera_sees_all_points_and_stands_no_farther_than_needed(spread: tuple) -> None:
-    points = np.random.default_rng(0).normal(size=(40, 3)) * spread
-    camera = frame_camera(points, 4 / 3)
-    seen = project(camera, points, 4 / 3)
-    assert (np.abs(seen[:, 0]) <= MARGIN + 1e-9).all()
-    assert (seen[:, 1] <= MARGIN + 1e-9).all()
-    assert (seen[:, 1] >= LABEL_ROOM - MARGIN - 1e-9).all()
-    sideways = np.isclose([seen[:, 0].min(), seen[:, 0].max()], [-MARGIN, MARGIN]).all()
-    upright = np.isclose([seen[:, 1].min(), seen[:, 1].max()], [LABEL_ROOM - MARGIN, MARGIN]).all()
-    assert sideways or upright
+@pytest.fixture(scope="module")
+def painter(scene: Scene, model: mujoco.MjModel) -> Iterator[EpisodeRenderer]:
+    feet = [model.geom(geom.full_identifier).id for geom in scene.robot.foot_geoms]
+    painter = EpisodeRenderer(model, feet, WIDTH, HEIGHT)
+    yield painter
+    painter.close()
 
 
-def count(picture: Image.Image, colour: tuple[int, int, int]) -> int:
-    return int((np.asarray(picture) == colour).all(-1).sum())
+def frame(model: mujoco.MjModel, on_deck: bool = False) -> Frame:
+    """The robot beside the board, as the model has it."""
+    return Frame(1.0, [on_deck] * 4, [True] * 4, False, model.qpos0.copy(), np.zeros((model.nmocap, 3)))
 
 
-def test_the_label_shows_each_foot() -> None:
-    picture = Image.new("RGB", (640, 480), (120, 10, 10))
-    pixels = [count(draw_overlay(picture, moment(deck=deck)), DECK) for deck in ("0000", "0100", "1111")]
-    assert pixels[0] == 0 < pixels[1]
-    assert pixels[2] == pytest.approx(4 * pixels[1], rel=0.1)
-    touching = draw_overlay(picture, moment(deck="1000", touching="1100"))
-    assert count(touching, GROUND) > 0.5 * count(touching, DECK) > 0
+def path_of(scene: Scene, model: mujoco.MjModel) -> tuple[CameraPath, list[np.ndarray]]:
+    roots = [
+        int(model.body_rootid[model.body(each.full_identifier).id]) for each in (scene.robot_frame, scene.board_frame)
+    ]
+    points = visible_points(model, [frame(model)], roots)
+    return camera_path(VIEWS["follow"], *points, 0.0, WIDTH / HEIGHT, 0.04), points
 
 
-def test_the_label_stays_within_a_picture_that_is_left_as_it_was() -> None:
-    picture = Image.new("RGB", (640, 480), (120, 10, 10))
-    result = draw_overlay(picture, moment(12.34, mounted=True, deck="1111"))
-    assert result.size == picture.size
-    assert count(picture, (120, 10, 10)) == 640 * 480
-    changed = np.argwhere((np.asarray(result) != (120, 10, 10)).any(-1))
-    assert changed.min(0)[0] > 0.7 * 480
-    assert 0 < changed.min() and changed.max(0)[0] < 479 and changed.max(0)[1] < 639
-    plain = draw_overlay(picture, moment(12.34, deck="1111"))
-    assert count(result, DECK) > count(plain, DECK)  # the word
+def mean_color(picture: np.ndarray, projected: np.ndarray) -> np.ndarray:
+    """Return the mean color of a few pixels around a projected point."""
+    x, y = (projected[0] + 1) / 2 * WIDTH, (1 - projected[1]) / 2 * HEIGHT
+    return picture[round(y) - 1 : round(y) + 2, round(x) - 1 : round(x) + 2].reshape(-1, 3).mean(0)
 
 
-def test_a_filmstrip_shows_the_mounting_closely() -> None:
-    episode = [moment(i * 0.1, mounted=i >= 16) for i in range(101)]
-    chosen = choose_frames(episode)
-    assert len(chosen) == 6
-    assert (chosen[0], chosen[-1]) == (0, 100)
-    assert chosen[-2] == 21  # half a second after it
+def test_robot_deck_and_floor_have_colors_of_their_own(
+    scene: Scene, model: mujoco.MjModel, painter: EpisodeRenderer
+) -> None:
+    path, points = path_of(scene, model)
+    picture = np.asarray(painter.draw(frame(model), path[0]), dtype=float)
+    assert picture.shape == (HEIGHT, WIDTH, 3)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    # The end of the trunk's shell on top, the middle of the deck's near half, and the floor at the bottom corner.
+    trunk = data.body(scene.robot.trunk.full_identifier)
+    top = trunk.xpos + trunk.xmat.reshape(3, 3) @ [0.19, 0.03, 0.044]
+    deck = data.site(scene.board.deck_site.full_identifier).xpos
+    colors = [mean_color(picture, path.project(point[None, None], WIDTH / HEIGHT)[0, 0]) for point in (top, deck)]
+    colors.append(picture[-6:-3, -6:-3].reshape(-1, 3).mean(0))
+    for i in range(3):
+        assert np.abs(colors[i] - colors[i - 1]).max() > 40
 
 
-def test_a_filmstrip_of_a_failure_is_even() -> None:
-    # Mounted for a while, but not in the end.
-    episode = [moment(i * 0.1, mounted=20 < i < 40) for i in range(51)]
-    assert choose_frames(episode) == [0, 10, 20, 30, 40, 50]
+def test_feet_on_the_deck_are_green(scene: Scene, model: mujoco.MjModel, painter: EpisodeRenderer) -> None:
+    path, _ = path_of(scene, model)
+    plain, painted = (np.asarray(painter.draw(frame(model, on_deck), path[0]), dtype=int) for on_deck in (False, True))
+
+    def green(picture: np.ndarray) -> int:
+        return int(((picture[..., 1] > picture[..., 0] + 50) & (picture[..., 1] > picture[..., 2] + 20)).sum())
+
+    assert green(plain) == 0
+    assert green(painted) > 15
 
 
-def test_short_episodes_show_each_moment_once() -> None:
-    assert choose_frames([moment(i * 0.1) for i in range(3)]) == [0, 1, 2]
-    assert choose_frames([moment(i * 0.1, mounted=True) for i in range(2)]) == [0, 1]
+def test_the_picture_shows_what_the_camera_path_says(
+    scene: Scene, model: mujoco.MjModel, painter: EpisodeRenderer
+) -> None:
+    """Robot and board are where the path projects them: outside their boxes the picture is all floor."""
+    path, points = path_of(scene, model)
+    with_subjects = np.asarray(painter.draw(frame(model), path[0]), dtype=int)
+    away = frame(model)
+    away.qpos[[0, 1]] += 100.0  # of the robot's free joint, which is the first
+    without_robot = np.asarray(painter.draw(away, path[0]), dtype=int)
+    changed = np.argwhere(np.abs(with_subjects - without_robot).max(-1) > 60)
+    seen = path.project(points[0], WIDTH / HEIGHT)[0]
+    left, right = ((seen[:, 0].min() + 1) / 2 * WIDTH, (seen[:, 0].max() + 1) / 2 * WIDTH)
+    top = (1 - seen[:, 1].max()) / 2 * HEIGHT
+    assert abs(changed[:, 0].min() - top) < 4
+    assert changed[:, 1].min() > left - 4 and changed[:, 1].max() < right + 4
+    assert np.ptp(changed[:, 1]) > 0.8 * (right - left)
 
 
-def test_filmstrip_goes_row_by_row() -> None:
-    colours = [(i * 40, 0, 0) for i in range(6)]
-    strip = filmstrip([Image.new("RGB", (30, 20), c) for c in colours], columns=3, gap=2)
-    assert strip.size == (3 * 30 + 2 * 2, 2 * 20 + 2)
-    corners = [strip.getpixel((32 * (i % 3), 22 * (i // 3))) for i in range(6)]
-    assert corners == colours
-    assert strip.getpixel((31, 0)) == (255, 255, 255)
+def test_the_model_stays_as_it_was(scene: Scene, model: mujoco.MjModel, painter: EpisodeRenderer) -> None:
+    lights, fovy, samples = model.light_pos.copy(), model.vis.global_.fovy, model.vis.quality.offsamples
+    path, _ = path_of(scene, model)
+    painter.draw(frame(model), path[0])
+    np.testing.assert_array_equal(model.light_pos, lights)
+    assert (model.vis.global_.fovy, model.vis.quality.offsamples) == (fovy, samples)

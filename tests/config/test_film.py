@@ -1,0 +1,38 @@
+"""Settings of films."""
+
+from __future__ import annotations
+
+import pytest
+
+from skatemount.config import compose
+from skatemount.utils.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("film.width=641", "film.width=641 must be an even number of pixels from 160 to 3840"),
+        ("film.height=100", "film.height=100 must be an even number of pixels from 120 to 2160"),
+        ("film.camera=left", "film.camera=left must be one of follow, side, top, fixed"),
+        ("film.speed=0", "film.speed=0.0 must be from 0.05 to 20; 0.5 plays at half speed"),
+        ("film.speed=.nan", "film.speed=nan must be from 0.05 to 20"),
+        ("episode=-1", "episode=-1 must be 0 or more"),
+    ],
+)
+def test_refused_values_are_named(setting: str, message: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        compose(None, [setting])
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_cameras_are_those_that_can_be_drawn() -> None:
+    from skatemount.config.film import CAMERAS
+    from skatemount.rendering.camera import VIEWS
+
+    assert tuple(VIEWS) == CAMERAS
+
+
+def test_the_first_success_is_the_default() -> None:
+    assert compose().episode is None
+    assert compose(None, ["episode=0"]).episode == 0
