@@ -74,11 +74,11 @@ class _Tape:
         env, worlds = self._env, self._worlds
         sim, episode = env.sim, env.episode
         self._poses.append(env.physics.poses(worlds))
-        elsewhere = success.feet_elsewhere(sim)
+        off_deck = success.feet_off_deck_contact(sim)
         # Success forgives a foot that leaves the deck for a moment, and so does the label: "mounted" means four feet.
-        on_deck = (episode.off_time <= success.FLICKER + 1e-3) & ~elsewhere
+        on_deck = (episode.off_time <= success.FLICKER + 1e-3) & ~off_deck
         height = sim.foot_pos[..., 2] - sim.ground_height.unsqueeze(1) - env.mdp.context.foot_radius
-        touching = on_deck | elsewhere | (height <= NEAR_GROUND)
+        touching = on_deck | off_deck | (height <= NEAR_GROUND)
         self._contacts.append(torch.cat((on_deck, touching, episode.mounted.unsqueeze(1)), 1)[worlds].cpu().numpy())
 
     def frames(self, row: int, duration: float) -> list[Frame]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from skatemount.config import compose
+from skatemount.config import RecordConfig, compose_program
 from skatemount.utils.errors import ConfigError
 
 
@@ -16,12 +16,12 @@ from skatemount.utils.errors import ConfigError
         ("film.camera=left", "film.camera=left must be one of follow, side, top, fixed"),
         ("film.speed=0", "film.speed=0.0 must be from 0.05 to 20; 0.5 plays at half speed"),
         ("film.speed=.nan", "film.speed=nan must be from 0.05 to 20"),
-        ("episode=-1", "episode=-1 must be 0 or more"),
+        ("episode=-1", "episode=-1 must be null, or 0 to"),
     ],
 )
 def test_refused_values_are_named(setting: str, message: str) -> None:
     with pytest.raises(ConfigError) as error:
-        compose(None, [setting])
+        compose_program("record", [setting])
     assert message in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -33,6 +33,12 @@ def test_cameras_are_those_that_can_be_drawn() -> None:
     assert tuple(VIEWS) == CAMERAS
 
 
+def record_settings(*overrides: str) -> RecordConfig:
+    config = compose_program("record", overrides)
+    assert isinstance(config, RecordConfig)
+    return config
+
+
 def test_the_first_success_is_the_default() -> None:
-    assert compose().episode is None
-    assert compose(None, ["episode=0"]).episode == 0
+    assert record_settings().episode is None
+    assert record_settings("episode=0").episode == 0

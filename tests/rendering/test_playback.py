@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from skatemount.config import compose
+from skatemount.config import compose_program
 from skatemount.config.suite import SuiteConfig
 from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.suite_task import EvaluationTask
@@ -18,7 +18,7 @@ from skatemount.rendering.playback import Episode, replay_episode
 def task(suite: str, *overrides: str, policy: str = "best", worlds: int = 6) -> EvaluationTask:
     settings = [f"checkpoint=pretrained:{policy}", f"suite={suite}", f"physics.num_worlds={worlds}"]
     settings += ["physics.threads=1", *overrides]
-    (found,) = EvaluationTask.prepare(compose(None, settings), settings)
+    (found,) = EvaluationTask.prepare(compose_program("record", settings), settings)
     return found
 
 
