@@ -1,0 +1,260 @@
+"""Write a results file of MountBench and put its numbers into the README and the docs.
+
+    python tools/write_results.py anywhere checkpoint=pretrained:anywhere suite=all episodes=2000
+    python tools/write_results.py anywhere --evaluated result.json --commit 8399278
+    python tools/write_results.py --fill
+
+The first form runs `python -m skatemount.evaluate` with the given settings and writes `docs/results/anywhere.json`. The
+second form takes the file of an evaluation that has already run. Both then fill the pages; the third form only fills
+them.
+
+A page names a number where it stands, in comments that Markdown does not show:
+
+    The robot mounts in <!-- result anywhere/approach-unfixed/success -->98.7 %<!-- end --> of the episodes.
+
+Everything between the two comments is replaced. `VALUES` and `BLOCKS` list what can be named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "docs" / "results"
+FORMAT = 1
+MARK = re.compile(r"<!-- result (\S+) -->(.*?)<!-- end -->", re.DOTALL)
+
+FAILURES = {
+    "not_mounted": "not mounted at the time limit",
+    "not_followed": "did not follow the command",
+    "tilt": "robot fell",
+    "board_tilt": "board tipped over",
+    "trunk_contact": "trunk touched something",
+    "out_of_reach": "walked away",
+    "diverged": "physics failed",
+}
+"""What a failed episode ended by, in words."""
+
+SUMMARY = ("approach-unfixed", "mount-unfixed", "rolling", "low-friction", "far", "pushed")
+"""Suites in the short table of the README: the free board, from easy to hard."""
+
+SHORT = {
+    "approach-unfixed": "0.5 to 1.0 m beside the board, any heading",
+    "mount-unfixed": "in a 60 × 60 cm square about the board, any heading",
+    "rolling": "beside a board that already rolls at up to 0.5 m/s",
+    "low-friction": "beside the board, friction at 0.4 to 0.6 of nominal",
+    "far": "1 to 2 m away; training never went beyond 1.05 m",
+    "pushed": "beside the board, with pushes of up to 0.5 m/s; training had none",
+}
+"""The start of each of these suites in a few words."""
+
+
+def percent(share: float) -> str:
+    """Return a share as a percentage with one decimal."""
+    return f"{100 * share:.1f} %"
+
+
+def interval(suite: dict[str, Any]) -> str:
+    """Return Wilson's 95 % interval of a suite's success rate."""
+    return f"{100 * suite['success']['low']:.1f} to {percent(suite['success']['high'])}"
+
+
+def failures(suite: dict[str, Any]) -> str:
+    """Return what ended the failed episodes, with counts, the most frequent first."""
+    return ", ".join(f"{FAILURES.get(name, name)} {count}" for name, count in suite["failures"].items()) or "none"
+
+
+def time_to_mount(suite: dict[str, Any]) -> str:
+    """Return the median time to mount."""
+    median = suite["time_to_mount"]["median"]
+    return "–" if median is None else f"{median:.2f} s"
+
+
+VALUES: dict[str, Callable[[dict[str, Any]], str]] = {
+    "success": lambda suite: percent(suite["success"]["rate"]),
+    "interval": interval,
+    "feet": lambda suite: f"{suite['feet_on_board']:.2f}",
+    "time": time_to_mount,
+    "failures": failures,
+    "episodes": lambda suite: f"{suite['episodes']:,}",
+}
+"""Numbers of one suite: ``<file>/<suite>/<value>``, or ``<file>/<suite>/<variant>/<value>``."""
+
+
+def provenance(results: dict[str, Any]) -> str:
+    """Return where the numbers come from, in one sentence."""
+    return (
+        f"skatemount {results['versions']['skatemount']}, commit `{results['commit']}`, seed {results['seed']}, "
+        f"MuJoCo {results['versions']['mujoco']}, PyTorch {results['versions']['torch']}"
+    )
+
+
+def command(results: dict[str, Any]) -> str:
+    """Return the command as a block."""
+    return f"\n```console\n$ {results['command']}\n```\n"
+
+
+def table(results: dict[str, Any]) -> str:
+    """Return a row for each suite in which a board is to be mounted."""
+    rows = [
+        "| suite | success | 95 % interval | time to mount | feet on board | failures |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, suite in results["suites"].items():
+        if suite["stage"] != "gait":
+            rows.append(
+                f"| `{name}` | {percent(suite['success']['rate'])} | {interval(suite)} | {time_to_mount(suite)} "
+                f"| {suite['feet_on_board']:.2f} | {failures(suite)} |"
+            )
+    return "\n".join(["", *rows, ""])
+
+
+def summary(results: dict[str, Any]) -> str:
+    """Return the short table of the README."""
+    rows = ["| suite | the robot starts | success | 95 % interval |", "|---|---|---|---|"]
+    for name in SUMMARY:
+        suite = results["suites"][name]
+        rows.append(f"| `{name}` | {SHORT[name]} | {percent(suite['success']['rate'])} | {interval(suite)} |")
+    return "\n".join(["", *rows, ""])
+
+
+def variants(results: dict[str, Any], suite: str = "other-boards") -> str:
+    """Return a row for each variant of a suite."""
+    rows = ["| board | success | 95 % interval |", "|---|---|---|"]
+    for name, part in results["suites"][suite]["variants"].items():
+        rows.append(f"| {name} | {percent(part['success']['rate'])} | {interval(part)} |")
+    return "\n".join(["", *rows, ""])
+
+
+BLOCKS: dict[str, Callable[[dict[str, Any]], str]] = {
+    "provenance": provenance,
+    "command": command,
+    "table": table,
+    "summary": summary,
+    "boards": variants,
+}
+"""Parts of one file: ``<file>/<part>``."""
+
+
+def condensed(evaluation: dict[str, Any], commit: str) -> dict[str, Any]:
+    """Return what the pages need of an evaluation, with everything that repeating it takes.
+
+    Args:
+        evaluation: The document that ``json=`` of `python -m skatemount.evaluate` wrote.
+        commit: Git commit of the code that evaluated.
+    """
+    suites = evaluation.get("suites") or {evaluation["evaluated"]["suite"]: evaluation}
+    first = next(iter(suites.values()))
+    about = first["evaluated"]
+    name = next(iter(suites)) if len(suites) == 1 else "all"
+    words = [f"checkpoint={about['checkpoint']}", f"suite={name}", f"episodes={first['episodes']}", *about["overrides"]]
+    if about["seed"]:
+        words.append(f"seed={about['seed']}")
+    return {
+        "format": FORMAT,
+        "command": " ".join(["python -m skatemount.evaluate", *words]),
+        "checkpoint": about["checkpoint"],
+        "sha256": about["sha256"],
+        "commit": commit,
+        "seed": about["seed"],
+        "versions": about["versions"],
+        "suites": {name: _suite(suite) for name, suite in suites.items()},
+    }
+
+
+def _suite(document: dict[str, Any]) -> dict[str, Any]:
+    definition = document["evaluated"]["definition"]
+    about = {key: definition[key] for key in ("version", "stage", "description")}
+    drop = ("failed_episodes", "evaluated")
+    return about | {key: value for key, value in document.items() if key not in drop}
+
+
+def look_up(key: str) -> str:
+    """Return what a page's comment names.
+
+    Raises:
+        KeyError: No results file, suite or value has that name.
+    """
+    name, *path = key.split("/")
+    results = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
+    if len(path) == 1:
+        return BLOCKS[path[0]](results)
+    suite, *variant, value = path
+    part = results["suites"][suite]
+    return VALUES[value](part["variants"][variant[0]] if variant else part)
+
+
+def pages() -> Iterator[Path]:
+    """Yield the README and every page of the docs."""
+    yield ROOT / "README.md"
+    for path in sorted((ROOT / "docs").rglob("*.md")):
+        if not {"_build", "api"} & set(path.parts):
+            yield path
+
+
+def filled(text: str) -> str:
+    """Return a page's text with every named number put in."""
+    return MARK.sub(lambda match: f"<!-- result {match[1]} -->{look_up(match[1])}<!-- end -->", text)
+
+
+def fill() -> None:
+    """Put the numbers into the pages and name those that changed."""
+    for path in pages():
+        text = path.read_text(encoding="utf-8")
+        if (new := filled(text)) != text:
+            path.write_text(new, encoding="utf-8")
+            print(path.relative_to(ROOT))
+
+
+def _commit() -> str:
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
+
+    changed = git("status", "--porcelain", "--", "skatemount", "conf")
+    return git("rev-parse", "--short=7", "HEAD") + ("-dirty" if changed else "")
+
+
+def _evaluate(settings: list[str]) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "evaluation.json"
+        subprocess.run([sys.executable, "-m", "skatemount.evaluate", *settings, f"json={file}"], cwd=ROOT, check=True)
+        found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return found
+
+
+def main() -> None:
+    """Evaluate if asked to, write the file, fill the pages."""
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0], epilog=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("name", nargs="?", help="of the results file, without .json")
+    parser.add_argument("settings", nargs="*", help="settings of the evaluation, such as checkpoint=latest")
+    parser.add_argument("--evaluated", type=Path, help="JSON of an evaluation that has already run")
+    parser.add_argument("--commit", help="git commit that evaluated; the working tree's if not given")
+    parser.add_argument("--fill", action="store_true", help="only put the numbers into the pages")
+    options = parser.parse_args()
+    if options.fill == (options.name is not None):
+        parser.error("give the name of a results file, or --fill alone")
+    if options.name is not None:
+        commit = options.commit or _commit()
+        if options.evaluated is None:
+            evaluation = _evaluate(options.settings)
+        else:
+            evaluation = json.loads(options.evaluated.read_text(encoding="utf-8"))
+        RESULTS.mkdir(exist_ok=True)
+        file = RESULTS / f"{options.name}.json"
+        file.write_text(json.dumps(condensed(evaluation, commit), indent=2) + "\n", encoding="utf-8")
+        print(file.relative_to(ROOT))
+    fill()
+
+
+if __name__ == "__main__":
+    main()
