@@ -1,10 +1,12 @@
-"""Sphinx configuration. The reference pages are written here, one for each module there is."""
+"""Sphinx configuration. The reference pages are written before the sources are read."""
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import os
 import re
+import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,9 @@ os.environ.setdefault("MPLBACKEND", "agg")
 
 DOCS = Path(__file__).resolve().parent
 PACKAGE = DOCS.parent / "skatemount"
+sys.path.insert(0, str(DOCS))
+
+import presets  # noqa: E402
 
 project = "skatemount"
 author = "The skatemount developers"
@@ -38,18 +43,18 @@ copybutton_prompt_text = r"\$ |>>> "
 copybutton_prompt_is_regexp = True
 
 napoleon_numpy_docstring = False
-# Attributes sections become fields: a page entry each would repeat what autodoc finds.
+# Attributes sections become fields; as entries of their own they would repeat what autodoc finds.
 napoleon_use_ivar = True
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 autodoc_default_options = {"members": True, "undoc-members": False, "show-inheritance": True}
-# Short type names may fit several classes of other libraries; a missing link is no defect.
+# A short type name may fit several classes of other libraries; a missing link is not an error.
 suppress_warnings = ["ref.python"]
 
 
 def modules() -> list[str]:
-    """Dotted names of the public modules of the package, in the order of the pages."""
+    """Return the dotted names of the public modules of the package, sorted."""
     names = []
     for path in sorted(PACKAGE.rglob("*.py")):
         parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
@@ -60,33 +65,34 @@ def modules() -> list[str]:
 
 
 def write_if_changed(path: Path, text: str) -> None:
-    """Leaves an unchanged file alone, so that Sphinx need not read it again."""
+    """Leave an unchanged file alone, so that Sphinx does not read it again."""
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
 
 
 def write_reference(folder: Path) -> None:
-    """Writes a page for each module and an index; removes pages of modules that are gone."""
+    """Write a page for each kind of thing and for each module, and an index; remove pages that are out of date."""
     folder.mkdir(exist_ok=True)
+    kinds = presets.write(folder, write_if_changed)
     names = modules()
     for name in names:
         title = name.replace("_", "\\_")
-        write_if_changed(
-            folder / f"{name}.rst",
-            f"{title}\n{'=' * len(title)}\n\n.. automodule:: {name}\n",
-        )
-    entries = "\n".join(names)
-    write_if_changed(
-        folder / "index.md",
-        f"# Reference\n\nEvery public module, from its source.\n\n```{{toctree}}\n:maxdepth: 1\n\n{entries}\n```\n",
-    )
-    for page in folder.glob("*.rst"):
-        if page.stem not in names:
+        # A package may export a function with the name of the module that defines it: one of the two is indexed.
+        parent, _, last = name.rpartition(".")
+        shadowed = bool(parent) and not inspect.ismodule(getattr(importlib.import_module(parent), last, inspect))
+        index = "   :no-index:\n" if shadowed else ""
+        write_if_changed(folder / f"{name}.rst", f"{title}\n{'=' * len(title)}\n\n.. automodule:: {name}\n{index}")
+    lines = ["# Reference", "", "These pages are made from the code and the settings.", ""]
+    for caption, entries in (("What exists", kinds), ("Python modules", names)):
+        lines += [f"## {caption}", "", "```{toctree}", ":maxdepth: 1", "", *entries, "```", ""]
+    write_if_changed(folder / "index.md", "\n".join(lines))
+    for page in (*folder.glob("*.rst"), *folder.glob("*.md")):
+        if page.stem not in (*names, *kinds, "index"):
             page.unlink()
 
 
 def skip_foreign(app: Any, what: str, name: str, member: Any, skip: bool, options: Any) -> bool:
-    """Leaves out what a class got from another library (`tensorclass` adds its methods to it)."""
+    """Leave out members that a class has from another library (`tensorclass` adds methods)."""
     function = inspect.unwrap(member.fget if isinstance(member, property) else member)
     module = getattr(function, "__module__", None)
     foreign = callable(function) and module is not None and not module.startswith("skatemount")
@@ -94,7 +100,7 @@ def skip_foreign(app: Any, what: str, name: str, member: Any, skip: bool, option
 
 
 def keep_bars(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Lets docstrings write |x| for a magnitude, which would be a substitution otherwise."""
+    """Let docstrings write |x| for a magnitude, which would be a substitution otherwise."""
     for index, line in enumerate(lines):
         parts = re.split(r"(``.*?``|`.*?`)", line)
         parts[::2] = [re.sub(r"(?<!\\)\|(?=\S)", r"\\|", part) for part in parts[::2]]
@@ -102,7 +108,7 @@ def keep_bars(app: Any, what: str, name: str, obj: Any, options: Any, lines: lis
 
 
 def setup(app: Any) -> None:
-    """Connects the steps above to Sphinx."""
+    """Connect the steps above to Sphinx."""
     write_reference(DOCS / "api")
     app.connect("autodoc-process-docstring", keep_bars)
     app.connect("autodoc-skip-member", skip_foreign)

@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -48,7 +49,7 @@ SUMMARY = ("approach-unfixed", "mount-unfixed", "rolling", "low-friction", "far"
 
 SHORT = {
     "approach-unfixed": "0.5 to 1.0 m beside the board, any heading",
-    "mount-unfixed": "in a 60 × 60 cm square about the board, any heading",
+    "mount-unfixed": "in a 60 × 60 cm square around the board, any heading",
     "rolling": "beside a board that already rolls at up to 0.5 m/s",
     "low-friction": "beside the board, friction at 0.4 to 0.6 of nominal",
     "far": "1 to 2 m away; training never went beyond 1.05 m",
@@ -155,13 +156,21 @@ def condensed(evaluation: dict[str, Any], commit: str) -> dict[str, Any]:
     first = next(iter(suites.values()))
     about = first["evaluated"]
     name = next(iter(suites)) if len(suites) == 1 else "all"
-    words = [f"checkpoint={about['checkpoint']}", f"suite={name}", f"episodes={first['episodes']}", *about["overrides"]]
-    if about["seed"]:
-        words.append(f"seed={about['seed']}")
+    # The command that films an episode names the policy and the settings as the user gave them.
+    given = [word for word in shlex.split(about["record"])[3:] if word.split("=")[0] not in ("suite", "episode")]
+    words = [
+        "python",
+        "-m",
+        "skatemount.evaluate",
+        given[0],
+        f"suite={name}",
+        f"episodes={first['episodes']}",
+        *given[1:],
+    ]
     return {
         "format": FORMAT,
-        "command": " ".join(["python -m skatemount.evaluate", *words]),
-        "checkpoint": about["checkpoint"],
+        "command": shlex.join(words),
+        "checkpoint": given[0].partition("=")[2],
         "sha256": about["sha256"],
         "commit": commit,
         "seed": about["seed"],
