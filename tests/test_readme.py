@@ -1,4 +1,4 @@
-"""What the README and the docs show works as it stands there."""
+"""The examples of the docs run as they stand."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from skatemount.config import stages, suites
-
 
 def blocks(path: Path) -> list[str]:
-    return re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)
+    """Return the Python examples of a page."""
+    return re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), re.DOTALL)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/usage.md", "docs/results.md"])
+@pytest.mark.parametrize("page", ["docs/usage.md", "docs/experiments/stage-policies.md"])
 def test_examples_run(repo_root: Path, page: str, capsys: pytest.CaptureFixture[str]) -> None:
     examples = [code for code in blocks(repo_root / page) if "MountEnv(" in code]
     assert examples, f"{page} has no example of MountEnv"
@@ -26,12 +25,17 @@ def test_examples_run(repo_root: Path, page: str, capsys: pytest.CaptureFixture[
     assert capsys.readouterr().out
 
 
-def test_stage_table_is_complete(repo_root: Path) -> None:
-    for page in ("README.md", "docs/stages.md"):
-        named = set(re.findall(r"^\| `(\w+)` \|", (repo_root / page).read_text(), re.MULTILINE))
-        assert named == set(stages()), page
+def commands(path: Path) -> list[str]:
+    """Return the training commands of a page, continued lines joined."""
+    text = re.sub(r"\\\n\s*", "", path.read_text(encoding="utf-8"))
+    return re.findall(r"^\$ (?:PYTHONPATH=\. )?python -m skatemount\.train (.+)$", text, re.MULTILINE)
 
 
-def test_suite_table_is_complete(repo_root: Path) -> None:
-    text = (repo_root / "docs/mountbench.md").read_text()
-    assert set(re.findall(r"^\| `([\w-]+)` \|", text, re.MULTILINE)) == set(suites())
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/usage.md", "docs/stages.md", "docs/curricula.md"])
+def test_first_examples_learn_to_mount(repo_root: Path, page: str) -> None:
+    # A stage with a free board does not learn to mount from scratch without a curriculum.
+    shown = commands(repo_root / page)
+    assert any("stage=unfixed curriculum=auto" in command for command in shown)
+    for command in shown:
+        if re.search(r"stage=(unfixed|mount)\b", command):
+            assert "curriculum=auto" in command, command

@@ -1,0 +1,98 @@
+"""The pages: links resolve, tables are complete, text keeps to one width and one spelling."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from skatemount.config import stages, suites
+
+ROOT = Path(__file__).resolve().parents[2]
+GENERATED = ROOT / "docs" / "api"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"] + sorted(
+    path for path in (ROOT / "docs").rglob("*.md") if not {"_build", "api"} & set(path.parts)
+)
+
+
+def prose(page: Path) -> str:
+    """Return a page without its code blocks."""
+    return re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of a page: labels, and headings as GitHub and MyST name them."""
+    text = prose(page)
+    found = set(re.findall(r"^\(([\w-]+)\)=$", text, re.MULTILINE))
+    for heading in re.findall(r"^#{1,3} (.+)$", text, re.MULTILINE):
+        slug = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        found.add(slug)
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_resolve(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        if re.match(r"https?://", target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        if file.parent == GENERATED:
+            # Written when the docs are built; Sphinx checks these links.
+            continue
+        assert file.exists(), f"{target}: no such file"
+        if anchor:
+            assert anchor in anchors(file), f"{target}: no such heading"
+
+
+def test_every_stage_is_in_the_table() -> None:
+    named = set(re.findall(r"^\| `(\w+)` \|", (ROOT / "docs/stages.md").read_text(encoding="utf-8"), re.MULTILINE))
+    assert named == set(stages())
+
+
+def test_every_suite_is_in_the_table() -> None:
+    text = (ROOT / "docs/mountbench.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^\| `([\w-]+)` \|", text, re.MULTILINE)) == set(suites())
+
+
+def test_every_page_is_reachable() -> None:
+    docs = ROOT / "docs"
+    listed = {"index"}
+    for page in PAGES:
+        for entries in re.findall(
+            r"^```\{toctree\}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+        ):
+            for entry in entries.splitlines():
+                if entry and not entry.startswith(":"):
+                    matches = page.parent.glob(f"{entry}.md")
+                    listed |= {str(match.relative_to(docs).with_suffix("")) for match in matches}
+    listed.discard("api/index")  # written when the docs are built
+    pages = {str(page.relative_to(docs).with_suffix("")) for page in PAGES if page.is_relative_to(docs)}
+    assert pages == listed
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_lines_have_one_width(page: Path) -> None:
+    for number, line in enumerate(prose(page).splitlines(), 1):
+        # Tables, pictures and numbers from results files cannot be wrapped.
+        if not line.startswith(("|", "![", "    ", ":alt:")) and "<!-- result" not in line:
+            assert len(line) <= 120, f"line {number}: {line}"
+
+
+BRITISH = re.compile(
+    r"\b(colour|behaviour|normalis|randomis|optimis|symmetris|initialis|centre|metres?\b|millimetre|centimetre|grey|"
+    r"neighbour|licence|tyre|learnt|anew\b)",
+    re.IGNORECASE,
+)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_spelling_is_american(page: Path) -> None:
+    text = re.sub(r"`[^`]*`|\]\([^)]*\)", "", prose(page))
+    assert [word[0] for word in BRITISH.finditer(text)] == []
+
+
+def test_success_is_defined_in_one_place() -> None:
+    # The angle of the deck is part of the definition and of nothing else.
+    assert [page.name for page in PAGES if "30° of level" in page.read_text(encoding="utf-8")] == ["mountbench.md"]

@@ -1,0 +1,78 @@
+"""The reference pages name everything that exists, with defaults from the YAML files."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "docs"))
+
+import presets  # noqa: E402
+import reference  # noqa: E402
+
+from skatemount.config import stages, suites  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def pages() -> dict[str, str]:
+    return {name: text for name, (_, text) in presets.pages().items()}
+
+
+def test_every_term_is_there(pages: dict[str, str]) -> None:
+    from skatemount.envs.observations import OBSERVATIONS
+    from skatemount.envs.rewards import REWARDS
+    from skatemount.envs.terminations import TERMINATIONS
+
+    kinds = {"rewards": REWARDS, "observations": OBSERVATIONS, "terminations": TERMINATIONS}
+    for page, registry in kinds.items():
+        assert re.findall(r"^## `(\w+)`$", pages[page], re.MULTILINE) == registry.names()
+
+
+def test_a_term_has_meaning_weight_and_parameters(pages: dict[str, str]) -> None:
+    summary = next(line for line in pages["rewards"].splitlines() if line.startswith("| [`mounted`]"))
+    assert "reward, per second" in summary and "`default` 2" in summary and "four feet" in summary
+    assert "| `params.ramp` | `0.0` |" in pages["rewards"]
+
+
+@pytest.mark.parametrize(
+    "page, group",
+    [("robots", "robot"), ("boards", "board"), ("commands", "command"), ("stages", "stage"), ("suites", "suite")],
+)
+def test_every_preset_is_there(pages: dict[str, str], page: str, group: str) -> None:
+    names = {path.stem for path in (ROOT / "conf" / group).glob("*.yaml")}
+    assert set(re.findall(rf"^## `{group}=([\w-]+)`$", pages[page], re.MULTILINE)) == names
+    assert {"stages": set(stages()), "suites": set(suites())}.get(page, names) == names
+
+
+def test_every_policy_is_there(pages: dict[str, str]) -> None:
+    names = {path.stem for path in (ROOT / "skatemount" / "policies").glob("*.json")}
+    assert set(re.findall(r"^## `pretrained:([\w-]+)`$", pages["policies"], re.MULTILINE)) == names
+
+
+def test_every_setting_has_a_meaning(pages: dict[str, str]) -> None:
+    rows = [line.split(" | ") for line in pages["settings"].splitlines() if line.startswith("| `")]
+    assert len(rows) > 100
+    missing = {row[0].strip("|` ") for row in rows if not row[-1].strip(" |")}
+    # Their names say it.
+    assert missing <= {"seed", "checkpoint", "board.wheel_color"}
+
+
+def test_defaults_come_from_yaml(pages: dict[str, str]) -> None:
+    # The dataclass may have another default, or none.
+    (row,) = re.findall(r"^\| `algorithm.epochs` \| `(.*?)` \|", pages["settings"], re.MULTILINE)
+    assert int(row) == reference.option("algorithm", "ppo")["epochs"]
+    (row,) = re.findall(r"^\| `network.symmetric` \| `(.*?)` \|", pages["settings"], re.MULTILINE)
+    assert row == "true"
+
+
+def test_options_build_on_each_other() -> None:
+    medium = reference.option("network", "medium")
+    assert medium["actor"] == [512, 256, 128] and medium["activation"] == "elu"
+
+
+def test_docstrings_become_markdown() -> None:
+    assert reference.plain("a_t - a_(t-1) in ``[N, 3]`` or `x|y`") == r"a\_t - a\_(t-1) in `[N, 3]` or `x\|y`"

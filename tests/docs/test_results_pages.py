@@ -1,0 +1,136 @@
+"""Numbers on the pages are those of the results files, and nowhere else."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def write_results() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("write_results", ROOT / "tools" / "write_results.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["write_results"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def evaluation(suite: str = "mount-fixed", successes: int = 3, episodes: int = 4) -> dict[str, Any]:
+    """An evaluation as `python -m skatemount.evaluate` writes it."""
+    return {
+        "episodes": episodes,
+        "success": {"rate": successes / episodes, "low": 0.3006, "high": 0.9544},
+        "time_to_mount": {"median": 0.5, "p95": 0.7},
+        "feet_on_board": 3.25,
+        "failures": {"tilt": episodes - successes},
+        "failed_episodes": [{"episode": 2}],
+        "evaluated": {
+            "checkpoint": "latest",
+            "sha256": "abc",
+            "suite": suite,
+            "seed": 0,
+            "overrides": ["board=mini"],
+            "definition": {"version": 2, "stage": "mount", "description": "a test", "seed": 7},
+            "versions": {"skatemount": "0.1.0", "mujoco": "3", "torch": "2"},
+            "record": f"python -m skatemount.record checkpoint=latest suite={suite} board=mini episode=<episode>",
+        },
+    }
+
+
+def test_pages_show_the_numbers_of_the_results_files(write_results: ModuleType) -> None:
+    marked = 0
+    for page in write_results.pages():
+        text = page.read_text(encoding="utf-8")
+        marked += len(write_results.MARK.findall(text))
+        assert write_results.filled(text) == text, f"{page}: run python tools/write_results.py --fill"
+    assert marked >= 10
+
+
+def test_a_changed_number_is_noticed(write_results: ModuleType) -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    changed, count = re.subn(r"(approach-unfixed/success -->)[\d.]+", r"\g<1>12.3", text)
+    assert count
+    assert write_results.filled(changed) == text
+
+
+def test_pages_for_users_have_no_success_rates_of_their_own(write_results: ModuleType) -> None:
+    # Decisions and experiments keep the numbers of their time.
+    for page in write_results.pages():
+        if {"decisions", "experiments"} & set(page.parts):
+            continue
+        text = write_results.MARK.sub("", page.read_text(encoding="utf-8"))
+        assert not re.findall(r"\d\.\d ?%", text), page
+
+
+def test_a_comment_within_a_sentence_does_not_begin_a_line(write_results: ModuleType) -> None:
+    # Markdown would take the line for HTML, which ends the paragraph.
+    for page in write_results.pages():
+        for line in page.read_text(encoding="utf-8").splitlines():
+            assert not re.match(r"\s*<!-- result \S+ -->.", line), f"{page}: {line}"
+
+
+def test_a_results_file_can_be_repeated(write_results: ModuleType) -> None:
+    files = sorted(write_results.RESULTS.glob("*.json"))
+    assert files
+    for file in files:
+        results = json.loads(file.read_text(encoding="utf-8"))
+        assert results["command"].startswith("python -m skatemount.evaluate checkpoint=")
+        assert re.fullmatch(r"[0-9a-f]{7,40}", results["commit"]), "a results file comes from a clean commit"
+        assert results["versions"]["skatemount"] and results["seed"] >= 0
+        for name, suite in results["suites"].items():
+            rate, episodes = suite["success"]["rate"], suite["episodes"]
+            assert suite["success"]["low"] <= rate <= suite["success"]["high"], name
+            assert sum(suite["failures"].values()) == round((1 - rate) * episodes), name
+
+
+def test_results_are_of_the_shipped_weights(write_results: ModuleType) -> None:
+    cards = (ROOT / "skatemount" / "policies").glob("*.json")
+    shipped = {json.loads(card.read_text(encoding="utf-8"))["sha256"] for card in cards}
+    for file in write_results.RESULTS.glob("*.json"):
+        results = json.loads(file.read_text(encoding="utf-8"))
+        if results["checkpoint"].startswith("pretrained:"):
+            assert results["sha256"] in shipped, file
+
+
+def test_what_is_kept_of_an_evaluation(write_results: ModuleType) -> None:
+    kept = write_results.condensed(evaluation(), "1234567")
+    assert kept["command"] == (
+        "python -m skatemount.evaluate checkpoint=latest suite=mount-fixed episodes=4 board=mini"
+    )
+    assert kept["commit"] == "1234567"
+    assert kept["suites"]["mount-fixed"]["version"] == 2
+    assert "failed_episodes" not in kept["suites"]["mount-fixed"]
+
+
+def test_several_suites_are_one_command(write_results: ModuleType) -> None:
+    both = {"suites": {"mount-fixed": evaluation(), "mount-unfixed": evaluation("mount-unfixed", 1)}}
+    kept = write_results.condensed(both, "1234567")
+    assert "suite=all" in kept["command"]
+    assert kept["suites"]["mount-unfixed"]["success"]["rate"] == 0.25
+
+
+def test_values_and_tables_as_text(write_results: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(write_results, "RESULTS", tmp_path)
+    kept = write_results.condensed(evaluation(), "1234567")
+    (tmp_path / "mine.json").write_text(json.dumps(kept), encoding="utf-8")
+    page = (
+        "<!-- result mine/mount-fixed/success -->old<!-- end -->, <!-- result mine/mount-fixed/interval --><!-- end -->"
+    )
+    assert write_results.filled(page) == (
+        "<!-- result mine/mount-fixed/success -->75.0 %<!-- end -->, "
+        "<!-- result mine/mount-fixed/interval -->30.1 to 95.4 %<!-- end -->"
+    )
+    table = write_results.look_up("mine/table")
+    assert "| `mount-fixed` | 75.0 % | 30.1 to 95.4 % | 0.50 s | 3.25 | robot fell 1 |" in table
+    with pytest.raises(KeyError):
+        write_results.look_up("mine/no-such-suite/success")
