@@ -21,7 +21,7 @@ from torchrl.modules import MLP
 from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.geometry import rotate_inverse
-from skatemount.models.actor_critic import ACTIVATIONS
+from skatemount.models.actor_critic import ACTIVATION_CLASSES
 
 ROWS = ("trunk, m/s", "board less trunk, m/s", "board's turning, rad/s")
 HELD_OUT = 7  # of so many worlds one is not fitted to
@@ -85,7 +85,9 @@ def reading_error(
     torch.manual_seed(seed)
     inputs = ((inputs - inputs[fitted].mean(0)) / (inputs[fitted].std(0) + 1e-3)).clamp(-10, 10)
     size, network = velocity.std(0), agent.config.network
-    reader = MLP(inputs.shape[1], 9, num_cells=list(network.actor), activation_class=ACTIVATIONS[network.activation])
+    reader = MLP(
+        inputs.shape[1], 9, num_cells=list(network.actor), activation_class=ACTIVATION_CLASSES[network.activation]
+    )
     optimizer = torch.optim.Adam(reader.parameters(), 1e-3)
     rows = fitted.nonzero().squeeze(1)
     schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.05, epochs)

@@ -1,4 +1,4 @@
-"""Actor and critic: the actor sees ``observation``, the critic ``privileged`` besides."""
+"""Actor and critic: the actor reads ``observation``, the critic also reads ``privileged``."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 from torchrl.modules import MLP, IndependentNormal, ProbabilisticActor, ValueOperator
 
@@ -16,13 +17,19 @@ from skatemount.models.activations import ELU
 from skatemount.models.config import NetworkConfig
 from skatemount.models.distributions import BoundedNormalScale
 from skatemount.models.normalization import RunningNormalizer
-from skatemount.models.symmetry import EquivariantMLP, Mirror
+from skatemount.models.symmetry import EquivariantMLP, Reflection
 
-_ACTIVATIONS: dict[str, type[nn.Module]] = {"elu": ELU, "relu": nn.ReLU, "tanh": nn.Tanh, "silu": nn.SiLU}
+ACTIVATION_CLASSES: dict[str, type[nn.Module]] = {"elu": ELU, "relu": nn.ReLU, "tanh": nn.Tanh, "silu": nn.SiLU}
+"""Activations by their name in the settings."""
 
 
 def _gaussian_actor(network: nn.Module, key: str) -> ProbabilisticActor:
-    """Draws actions from the normal distribution whose means and deviations a network makes of what is under a key."""
+    """Return an actor that samples actions from a normal distribution.
+
+    Args:
+        network: Maps the values under ``key`` to means and standard deviations.
+        key: Key of the network's input.
+    """
     return ProbabilisticActor(
         TensorDictModule(network, [key], ["loc", "scale"]),
         in_keys=["loc", "scale"],
@@ -33,45 +40,45 @@ def _gaussian_actor(network: nn.Module, key: str) -> ProbabilisticActor:
 
 
 class Join(nn.Module):
-    """Concatenates its inputs, then applies a network."""
+    """A network applied to its concatenated inputs."""
 
     def __init__(self, network: nn.Module):
         super().__init__()
         self.network = network
 
     def forward(self, *parts: Tensor) -> Tensor:
-        """``[..., D_i]`` each to the network's output."""
+        """Map parts, ``[..., D_i]`` each, to the network's output."""
         return self.network(torch.cat(parts, -1))
 
 
 class FromEvenOdd(nn.Module):
-    """A symmetric network that is given what its `EquivariantMLP.coordinates` returns."""
+    """A symmetric network whose input is split by `EquivariantMLP.to_even_odd` already."""
 
     def __init__(self, network: EquivariantMLP):
         super().__init__()
         self.network = network
 
-    def forward(self, coordinates: Tensor) -> Tensor:
-        """``[..., inputs]`` to ``[..., outputs]``."""
-        return self.network.forward_even_odd(coordinates)
+    def forward(self, parts: Tensor) -> Tensor:
+        """Map ``[..., inputs]`` even and odd parts to ``[..., outputs]``."""
+        return self.network.forward_even_odd(parts)
 
 
 class ActorCritic(nn.Module):
-    """The two networks and how they read a tensordict.
+    """Actor and critic, and the keys of a tensordict that each of them reads.
 
     Args:
-        config: Sizes.
-        observation: Values in ``observation``.
-        privileged: Values in ``privileged``.
-        actions: Values in ``action``.
-        mirrors: Mirror images of ``observation``, ``privileged`` and ``action``, for symmetric networks; they are
-            saved with the weights, so that networks whose weights are loaded need none.
+        config: Settings of both networks.
+        observation: Number of entries of ``observation``.
+        privileged: Number of entries of ``privileged``.
+        actions: Number of entries of ``action``.
+        reflections: Reflections of ``observation``, ``privileged`` and ``action``, for symmetric networks. They are
+            saved with the weights, so networks that are made to load weights need none.
 
     Attributes:
-        config: Sizes.
+        config: Settings of both networks.
         actor: Writes ``loc``, ``scale``, ``action`` and ``action_log_prob``.
         critic: Writes ``state_value``.
-        normalizers: Of the actor's and of the critic's input; empty without normalisation.
+        normalizers: Normalizers of the actor's and of the critic's input; empty without normalization.
     """
 
     actor_keys = ("observation",)
@@ -83,42 +90,49 @@ class ActorCritic(nn.Module):
         observation: int,
         privileged: int,
         actions: int = 12,
-        mirrors: tuple[Mirror, Mirror, Mirror] | None = None,
+        reflections: tuple[Reflection, Reflection, Reflection] | None = None,
     ):
         super().__init__()
         config.validate()
         self.config = config
         sizes = (observation, observation + privileged)
-        seen, hidden, acts = mirrors or map(Mirror.same, (observation, privileged, actions))
-        images = (seen, Mirror.joined(seen, hidden))
-        self._images = nn.ModuleList(images if config.symmetric else ())
+        of_observation, of_privileged, of_action = reflections or map(
+            Reflection.identity, (observation, privileged, actions)
+        )
+        inputs = (of_observation, Reflection.concat(of_observation, of_privileged))
+        # Saved weights have this name.
+        self._images = nn.ModuleList(inputs if config.symmetric else ())
         normalizers = [RunningNormalizer(size) for size in sizes] if config.normalize else []
         self.normalizers = nn.ModuleList(normalizers)
 
-        def network(which: int, cells: list[int], after: Mirror) -> nn.Sequential:
-            activation = _ACTIVATIONS[config.activation]
+        def network(which: int, cells: list[int], after: Reflection) -> nn.Sequential:
+            activation = ACTIVATION_CLASSES[config.activation]
             if config.symmetric:
-                return EquivariantMLP(images[which], after, cells, activation)
+                return EquivariantMLP(inputs[which], after, cells, activation)
             return MLP(sizes[which], len(after.signs), num_cells=cells, activation_class=activation)
 
-        means = network(0, list(config.actor), acts)
+        means = network(0, list(config.actor), of_action)
         with torch.no_grad():
-            # The first actions are the default pose: a robot that stands learns sooner than one that twitches.
+            # The first actions are near the default pose: a robot that stands learns sooner than one that twitches.
             *_, last = (layer for layer in means if isinstance(layer, nn.Linear))
             last.weight.mul_(0.01)
             last.bias.zero_()
-        values = network(1, list(config.critic), Mirror.same(1))
+        values = network(1, list(config.critic), Reflection.identity(1))
         policy, value = nn.Sequential(*normalizers[:1], means), nn.Sequential(*normalizers[1:], values)
         self._networks = means, values
-        deviation = BoundedNormalScale(actions, config, acts if config.symmetric else None)
+        deviation = BoundedNormalScale(actions, config, of_action if config.symmetric else None)
         self.actor = _gaussian_actor(nn.Sequential(policy, deviation), "observation")
         self.critic = ValueOperator(Join(value), in_keys=list(self.critic_keys))
 
+    def actor_in(self, env: EnvBase) -> ProbabilisticActor:
+        """Return the actor, which acts alike in every environment; see `skatemount.agents.policy.Policy`."""
+        return self.actor
+
     def learners(self, compiled: bool = False) -> tuple[ProbabilisticActor, ValueOperator]:
-        """Actor and critic with the same layers, that read what `prepare` returns.
+        """Return an actor and a critic that share the layers and read what `prepare` returns.
 
         Args:
-            compiled: By ``torch.compile``.
+            compiled: Compile the layers with ``torch.compile``.
         """
         layers: list[Any] = [FromEvenOdd(n) if isinstance(n, EquivariantMLP) else n for n in self._networks]
         if compiled:
@@ -129,10 +143,13 @@ class ActorCritic(nn.Module):
 
     @torch.no_grad()
     def prepare(self, batch: TensorDictBase) -> TensorDict:
-        """What the layers see of a batch, for several passes over it while the normalisers rest.
+        """Normalize and split a batch once, for several passes over it with unchanged normalizers.
+
+        Args:
+            batch: Any shape, with ``observation`` and ``privileged``.
 
         Returns:
-            ``actor_input`` and ``critic_input``, of the batch's size.
+            ``actor_input`` and ``critic_input``, of the batch's shape.
         """
         prepared = TensorDict(batch_size=batch.batch_size, device=batch.device)
         for which, (name, network) in enumerate(zip(("actor_input", "critic_input"), self._networks)):
@@ -140,27 +157,27 @@ class ActorCritic(nn.Module):
             values = torch.cat([batch[key] for key in keys], -1)
             if self.normalizers:
                 values = self.normalizers[which](values)
-            prepared[name] = network.coordinates(values) if isinstance(network, EquivariantMLP) else values
+            prepared[name] = network.to_even_odd(values) if isinstance(network, EquivariantMLP) else values
         return prepared
 
     @property
     def deviation(self) -> BoundedNormalScale:
-        """The actions' standard deviation."""
+        """Module of the actions' standard deviation."""
         return next(module for module in self.actor.modules() if isinstance(module, BoundedNormalScale))
 
     def limit_std(self, high: float) -> None:
-        """Lower the upper bound of the actions' standard deviation; a bound that is lower already stays."""
+        """Lower the upper bound of the actions' standard deviation; keep a bound that is lower already."""
         self.deviation.limit(high)
 
     def observe(self, batch: TensorDictBase) -> None:
-        """Let the normalisers take a batch into account."""
-        images: Iterable[nn.Module | None] = self._images or (None, None)
-        for normalizer, keys, image in zip(self.normalizers, (self.actor_keys, self.critic_keys), images):
-            assert isinstance(normalizer, RunningNormalizer) and isinstance(image, Mirror | None)
-            normalizer.observe(torch.cat([batch[key] for key in keys], -1), image)
+        """Update the normalizers' statistics with a batch."""
+        reflections: Iterable[nn.Module | None] = self._images or (None, None)
+        for normalizer, keys, reflection in zip(self.normalizers, (self.actor_keys, self.critic_keys), reflections):
+            assert isinstance(normalizer, RunningNormalizer) and isinstance(reflection, Reflection | None)
+            normalizer.observe(torch.cat([batch[key] for key in keys], -1), reflection)
 
     def reset_statistics(self) -> None:
-        """Let the next batch that is observed replace the normalisers' statistics."""
+        """Reset the normalizers, so that the next observed batch replaces their statistics."""
         for normalizer in self.normalizers:
             assert isinstance(normalizer, RunningNormalizer)
             normalizer.reset_statistics()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from skatemount.models.symmetry import Mirror
+from skatemount.models.symmetry import Reflection
 
 
 class RunningNormalizer(nn.Module):
@@ -39,7 +39,7 @@ class RunningNormalizer(nn.Module):
         self.register_buffer("behind", torch.zeros(size, dtype=torch.float64), persistent=False)
 
     @torch.no_grad()
-    def observe(self, values: Tensor, mirror: Mirror | None = None) -> None:
+    def observe(self, values: Tensor, mirror: Reflection | None = None) -> None:
         """Take values into account.
 
         Args:

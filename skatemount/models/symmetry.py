@@ -1,4 +1,4 @@
-"""Networks whose outputs are mirrored when their inputs are, so that what is learnt on one side holds on the other."""
+"""Left-right symmetric networks: the reflected input gives the reflected output, so both sides are learned at once."""
 
 from __future__ import annotations
 
@@ -12,199 +12,208 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 
-class _SumAndDifference(torch.autograd.Function):
-    """Torch would negate a gradient before it adds it: a pass more."""
+class _AddAndSubtract(torch.autograd.Function):
+    """``(a + b, a - b)`` with a backward pass that does not negate a gradient before it adds it."""
 
     @staticmethod
-    def forward(ctx: Any, one: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
-        return one + other, one - other
+    def forward(ctx: Any, a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+        return a + b, a - b
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor]:
         return gradients[0] + gradients[1], gradients[0] - gradients[1]
 
 
-def sum_and_difference(one: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
-    """Both of two tensors of one shape."""
-    both: tuple[Tensor, Tensor] = _SumAndDifference.apply(one, other)
+def add_and_subtract(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the sum and the difference of two tensors of one shape."""
+    both: tuple[Tensor, Tensor] = _AddAndSubtract.apply(a, b)
     return both
 
 
-class Mirror(nn.Module):
-    """A left-right mirror image: ``image = x[..., permutation] * signs``. Twice, it changes nothing.
+class Reflection(nn.Module):
+    """The left-right mirror image of a vector: ``image = x[..., permutation] * signs``, its own inverse.
 
-    Kept as buffers, so that a saved network can be rebuilt without the task that it was trained in.
+    The even part of a vector is its own image; the odd part is the negative of its own image. Together they have as
+    many entries as the vector. Permutation and signs are buffers, so a saved network needs no task to be rebuilt.
 
     Args:
         permutation: ``[size]`` int64.
-        signs: ``[size]``.
+        signs: ``[size]``, each 1 or -1.
 
     Attributes:
-        evens: Size of the even part.
+        even_size: Number of entries of the even part.
     """
 
     permutation: Tensor
     signs: Tensor
-    _one: Tensor
-    _other: Tensor
+    _index: Tensor
+    _partner: Tensor
     _sign: Tensor
-    _share: Tensor
+    _fold: Tensor
 
     def __init__(self, permutation: Tensor, signs: Tensor):
         super().__init__()
-        # Clones: safetensors stores no tensor under two names.
+        # Clones, because safetensors does not store one tensor under two names.
         self.register_buffer("permutation", permutation.clone())
         self.register_buffer("signs", signs.clone())
-        for name in ("_one", "_other", "_sign", "_share"):
+        for name in ("_index", "_partner", "_sign", "_fold"):
             self.register_buffer(name, None, persistent=False)
-        self._pair_up()
-        self.register_load_state_dict_post_hook(lambda module, keys: module._pair_up())
+        self._find_pairs()
+        self.register_load_state_dict_post_hook(lambda module, keys: module._find_pairs())
 
-    def _pair_up(self) -> None:
-        """Which values make up the coordinates."""
+    def _find_pairs(self) -> None:
+        """Work out which entries are added or subtracted to get the even and the odd part."""
         index = torch.arange(len(self.signs), device=self.signs.device)
         alone, pair = self.permutation == index, self.permutation > index
         even, odd = (((alone & (self.signs * sign > 0)) | pair).nonzero().flatten() for sign in (1, -1))
-        self.evens = len(even)
-        self._one = torch.cat((even, odd))
-        self._other = self.permutation[self._one]
-        self._sign = torch.cat((self.signs[even], -self.signs[odd])) * pair[self._one]
-        self._share = torch.where(pair[self._one], 0.5, 1.0)
-        self._halved = bool(
+        self.even_size = len(even)
+        self._index = torch.cat((even, odd))
+        self._partner = self.permutation[self._index]
+        self._sign = torch.cat((self.signs[even], -self.signs[odd])) * pair[self._index]
+        self._fold = torch.where(pair[self._index], 0.5, 1.0)
+        self._swaps_halves = bool(
             pair.any() and (self.permutation == index.roll(len(index) // 2)).all() and (self.signs == 1).all()
         )
 
     @classmethod
-    def halves(cls, size: int) -> Mirror:
-        """Of hidden units: the second half are the images of the first."""
+    def paired(cls, size: int) -> Reflection:
+        """Return the reflection of hidden units: the second half are the images of the first half."""
         return cls(torch.arange(size).roll(size // 2), torch.ones(size))
 
     @classmethod
-    def same(cls, size: int) -> Mirror:
-        """Of what is its own image."""
+    def identity(cls, size: int) -> Reflection:
+        """Return the reflection of a vector that is its own image."""
         return cls(torch.arange(size), torch.ones(size))
 
     @classmethod
-    def joined(cls, first: Mirror, second: Mirror) -> Mirror:
-        """Of two blocks of values, one after the other."""
+    def concat(cls, first: Reflection, second: Reflection) -> Reflection:
+        """Return the reflection of two concatenated vectors."""
         permutation = torch.cat((first.permutation, second.permutation + len(first.signs)))
         return cls(permutation, torch.cat((first.signs, second.signs)))
 
-    def copy(self) -> Mirror:
-        """Another one alike."""
-        return Mirror(self.permutation, self.signs)
+    def copy(self) -> Reflection:
+        """Return a copy with buffers of its own."""
+        return Reflection(self.permutation, self.signs)
 
     def forward(self, values: Tensor) -> Tensor:
-        """The image of ``[..., size]`` values."""
+        """Return the image of ``[..., size]`` values."""
         return values.index_select(-1, self.permutation) * self.signs
 
-    def coordinates(self, values: Tensor) -> Tensor:
-        """The even part of ``[..., size]`` values, ``evens`` numbers, and then the odd part, again ``[..., size]``.
+    def to_even_odd(self, values: Tensor) -> Tensor:
+        """Split ``[..., size]`` values into the even part, `even_size` entries, followed by the odd part.
 
-        Sums and differences of a value and its image; what is its own image up to the sign is part of one of them.
+        The entries are sums and differences of a value and its image. A value that is its own image, up to the sign,
+        is copied into the part that it belongs to.
+
+        Returns:
+            ``[..., size]``.
         """
-        one, other = (values.index_select(-1, index) for index in (self._one, self._other))
+        one, other = (values.index_select(-1, index) for index in (self._index, self._partner))
         return torch.addcmul(one, other, self._sign)
 
-    def project(self, values: Tensor, odd: bool = False) -> Tensor:
-        """What the even part of a vector is to be multiplied with, as `coordinates` gives it.
+    def fold_weight(self, weight: Tensor, odd: bool = False) -> Tensor:
+        """Return the weight that gives with one part, as `to_even_odd` gives it, what ``weight`` gives with its vector.
 
         Args:
-            values: ``[..., size]``, what the vector itself is multiplied with.
-            odd: The odd part, instead.
-        """
-        if self._halved:
-            one, other = values.chunk(2, -1)
-            return torch.sub(one, other).div_(2) if odd else torch.add(one, other).div_(2)
-        which = slice(self.evens, None) if odd else slice(self.evens)
-        one, other = (values.index_select(-1, index[which]) for index in (self._one, self._other))
-        return torch.addcmul(one, other, self._sign[which]).mul_(self._share[which])
+            weight: ``[..., size]``, the weight of the whole vector.
+            odd: Take the odd part, not the even one.
 
-    def even(self, values: Tensor) -> Tensor:
-        """The part of ``[..., size]`` values that is its own image."""
+        Returns:
+            ``[..., even_size]``, or ``[..., size - even_size]`` for the odd part.
+        """
+        if self._swaps_halves:
+            one, other = weight.chunk(2, -1)
+            return torch.sub(one, other).div_(2) if odd else torch.add(one, other).div_(2)
+        part = slice(self.even_size, None) if odd else slice(self.even_size)
+        one, other = (weight.index_select(-1, index[part]) for index in (self._index, self._partner))
+        return torch.addcmul(one, other, self._sign[part]).mul_(self._fold[part])
+
+    def even_part(self, values: Tensor) -> Tensor:
+        """Return the mean of ``[..., size]`` values and their image, which is its own image."""
         return (values + self(values)) / 2
 
 
 class EquivariantLinear(nn.Linear):
-    """A linear layer for which the image of the input gives the image of the output.
+    """A linear layer for which the reflected input gives the reflected output.
 
-    Its weight is the mean of a free one and that one's image (Ravanbakhsh, Schneider and Poczos, "Equivariance
+    Its weight is the mean of a free weight and that weight's image (Ravanbakhsh, Schneider and Poczos, "Equivariance
     Through Parameter-Sharing", 2017).
 
     Args:
-        before: Mirror image of the inputs.
-        after: Of the outputs.
+        before: Reflection of the inputs.
+        after: Reflection of the outputs.
     """
 
-    def __init__(self, before: Mirror, after: Mirror):
+    def __init__(self, before: Reflection, after: Reflection):
         super().__init__(len(before.signs), len(after.signs))
         self.before, self.after = before, after
         with torch.no_grad():
-            # The mean of two independent weights is smaller than one by this.
+            # The mean of two independent weights has a deviation smaller by this factor than one of them.
             self.weight.mul_(math.sqrt(2))
 
     def forward(self, input: Tensor) -> Tensor:
-        """``[..., inputs]`` to ``[..., outputs]``."""
+        """Map ``[..., inputs]`` to ``[..., outputs]``."""
         image = self.after(self.before(self.weight).T).T
-        return functional.linear(input, (self.weight + image) / 2, self.after.even(self.bias))
+        return functional.linear(input, (self.weight + image) / 2, self.after.even_part(self.bias))
 
-    def apart(self, even: Tensor, odd: Tensor) -> tuple[Tensor, Tensor]:
-        """What the even part of an input, and what its odd part gives: half of `forward`'s products.
+    def forward_even_odd(self, even: Tensor, odd: Tensor) -> tuple[Tensor, Tensor]:
+        """Apply the layer to the even and the odd part separately, with half of `forward`'s multiplications.
 
-        For hidden units, of which the second half are the images of the first.
+        Works only if ``after`` is `Reflection.paired`.
 
         Args:
-            even: Of ``before.coordinates``.
-            odd: Likewise.
+            even: ``[..., even_size]``, the even part as `Reflection.to_even_odd` of ``before`` gives it.
+            odd: ``[..., inputs - even_size]``, the odd part.
 
         Returns:
-            The outputs' first half is the sum of the two, the second half the first less the second.
+            The even and the odd part of the outputs, ``[..., outputs / 2]`` each. The first half of the outputs is
+            their sum, the second half is their difference.
         """
         one, other = self.weight.chunk(2)
-        to_even = self.before.project((one + other).div_(2))
-        to_odd = self.before.project((one - other).div_(2), odd=True)
+        to_even = self.before.fold_weight((one + other).div_(2))
+        to_odd = self.before.fold_weight((one - other).div_(2), odd=True)
         return functional.linear(even, to_even, self.bias.view(2, -1).mean(0)), functional.linear(odd, to_odd)
 
 
 class EquivariantMLP(nn.Sequential):
-    """A network for which the image of the input gives the image of the output.
+    """A multilayer perceptron for which the reflected input gives the reflected output.
 
-    The image of even parts is even, that of odd ones odd, so a symmetric layer mixes them nowhere; only activations do.
+    A symmetric linear layer maps even parts to even parts and odd parts to odd parts. Only the activations mix them.
 
     Args:
-        before: Mirror image of the inputs.
-        after: Of the outputs.
-        cells: Hidden units, an even number in each layer; the second half are the images of the first.
-        activation: Of the hidden units.
+        before: Reflection of the inputs.
+        after: Reflection of the outputs.
+        cells: Hidden units, an even number in each layer; the second half are the images of the first half.
+        activation: Activation of the hidden units.
     """
 
-    def __init__(self, before: Mirror, after: Mirror, cells: Sequence[int], activation: type[nn.Module]):
-        images = [before, *map(Mirror.halves, cells), after]
+    def __init__(self, before: Reflection, after: Reflection, cells: Sequence[int], activation: type[nn.Module]):
+        reflections = [before, *map(Reflection.paired, cells), after]
         layers: list[nn.Module] = []
-        for first, second in pairwise(images):
+        for first, second in pairwise(reflections):
             layers += [EquivariantLinear(first.copy(), second.copy()), activation()]
         super().__init__(*layers[:-1])
 
     def forward(self, input: Tensor) -> Tensor:
-        """``[..., inputs]`` to ``[..., outputs]``."""
-        return self.forward_even_odd(self.coordinates(input))
+        """Map ``[..., inputs]`` to ``[..., outputs]``."""
+        return self.forward_even_odd(self.to_even_odd(input))
 
-    def coordinates(self, input: Tensor) -> Tensor:
-        """What the layers see of the input: the same each time, however they have changed."""
-        return self._layers()[0].before.coordinates(input)
+    def to_even_odd(self, input: Tensor) -> Tensor:
+        """Split ``[..., inputs]`` values into even and odd part; the result does not depend on the weights."""
+        return self._layers()[0].before.to_even_odd(input)
 
-    def forward_even_odd(self, input: Tensor) -> Tensor:
-        """What `forward` returns, from what `coordinates` does."""
+    def forward_even_odd(self, parts: Tensor) -> Tensor:
+        """Map ``[..., inputs]`` values, as `to_even_odd` returns them, to ``[..., outputs]``."""
         layers = self._layers()
         activations = [module for module in self if not isinstance(module, EquivariantLinear)]
-        evens = layers[0].before.evens
-        even, odd = input[..., :evens], input[..., evens:]
+        even_size = layers[0].before.even_size
+        even, odd = parts[..., :even_size], parts[..., even_size:]
         for layer, activation in zip(layers, activations):
-            units, images = map(activation, sum_and_difference(*layer.apart(even, odd)))
-            even, odd = sum_and_difference(units, images)
-        # A few outputs are not worth taking apart.
-        last: Tensor = layers[-1](torch.cat((units, images), -1))
-        return last
+            units, images = map(activation, add_and_subtract(*layer.forward_even_odd(even, odd)))
+            even, odd = add_and_subtract(units, images)
+        # The last layer has few outputs: splitting it would save nothing.
+        outputs: Tensor = layers[-1](torch.cat((units, images), -1))
+        return outputs
 
     def _layers(self) -> list[EquivariantLinear]:
         return [module for module in self if isinstance(module, EquivariantLinear)]

@@ -30,7 +30,7 @@ from skatemount.evaluation.results import Evaluation
 from skatemount.losses.ppo import PPO
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.models.normalization import RunningNormalizer
-from skatemount.models.symmetry import Mirror
+from skatemount.models.symmetry import Reflection
 from skatemount.runs import checkpoint
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.lock import claimed
@@ -52,11 +52,12 @@ def set_up_process(config: Config) -> None:
 
 def make_networks(config: Config, mdp: Mdp) -> ActorCritic:
     """Untrained networks for what is seen and done in a task."""
-    seen, hidden = mdp.observation, mdp.privileged
-    mirrors = None
+    observation, privileged = mdp.observation, mdp.privileged
+    reflections = None
     if config.network.symmetric:
-        mirrors = Mirror(*seen.mirror()), Mirror(*hidden.mirror()), Mirror(*mirror_map("joints", len(JOINTS)))
-    return ActorCritic(config.network, seen.size, hidden.size, len(JOINTS), mirrors)
+        images = observation.mirror(), privileged.mirror(), mirror_map("joints", len(JOINTS))
+        reflections = Reflection(*images[0]), Reflection(*images[1]), Reflection(*images[2])
+    return ActorCritic(config.network, observation.size, privileged.size, len(JOINTS), reflections)
 
 
 class Trainer:

@@ -15,7 +15,7 @@ from skatemount.models.actor_critic import ActorCritic
 from skatemount.models.config import NetworkConfig
 from skatemount.models.distributions import BoundedNormalScale
 from skatemount.models.normalization import RunningNormalizer
-from skatemount.models.symmetry import Mirror
+from skatemount.models.symmetry import Reflection
 from skatemount.utils.errors import ConfigError
 
 SMALL = defaults.network(actor=[16, 8], critic=[12])
@@ -186,7 +186,7 @@ def test_learners_do_what_actor_and_critic_do(symmetric: bool, normalize: bool) 
     """Where most of what is seen has a mirror image, so that its two parts are no mere copies of it."""
     torch.manual_seed(0)
     swapped = torch.tensor([1, 0, 2, 4, 3, 5, 6, 8, 7]), torch.tensor([1.0, 1, -1, -1, -1, 1, 1, 1, 1])
-    mirrors = Mirror(*swapped), Mirror(torch.arange(4), torch.tensor([1.0, -1, 1, -1])), Mirror.halves(12)
+    mirrors = Reflection(*swapped), Reflection(torch.arange(4), torch.tensor([1.0, -1, 1, -1])), Reflection.paired(12)
     config = dataclasses.replace(SMALL, normalize=normalize, symmetric=symmetric)
     networks, batch = ActorCritic(config, 9, 4, 12, mirrors), seen(20, 3, scale=2.0)
     networks.observe(batch)

@@ -13,11 +13,11 @@ from torch.autograd import grad
 
 from skatemount.losses.ppo import PPO
 from skatemount.models.actor_critic import ActorCritic
-from skatemount.models.symmetry import EquivariantLinear, EquivariantMLP, Mirror
+from skatemount.models.symmetry import EquivariantLinear, EquivariantMLP, Reflection
 
-SEEN = Mirror(torch.tensor([0, 2, 1, 3, 5, 4]), torch.tensor([1.0, -1, -1, 1, 1, 1]))
-HIDDEN = Mirror(torch.arange(3), torch.tensor([1.0, -1, 1]))
-ACTS = Mirror(torch.tensor([1, 0, 3, 2]), torch.tensor([-1.0, -1, 1, 1]))
+SEEN = Reflection(torch.tensor([0, 2, 1, 3, 5, 4]), torch.tensor([1.0, -1, -1, 1, 1, 1]))
+HIDDEN = Reflection(torch.arange(3), torch.tensor([1.0, -1, 1]))
+ACTS = Reflection(torch.tensor([1, 0, 3, 2]), torch.tensor([-1.0, -1, 1, 1]))
 
 
 def make(symmetric: bool = True, seed: int = 0) -> ActorCritic:
@@ -97,20 +97,20 @@ def test_weights_bring_their_mirror_images() -> None:
     assert max(asymmetry(bare)) < 1e-5
 
 
-@pytest.mark.parametrize("after", [Mirror.halves(8), Mirror.same(8)])
-def test_layer_starts_as_wide_as_a_plain_one(after: Mirror) -> None:
+@pytest.mark.parametrize("after", [Reflection.paired(8), Reflection.identity(8)])
+def test_layer_starts_as_wide_as_a_plain_one(after: Reflection) -> None:
     """Where an input has a partner; a weight that is its own image keeps its full size."""
     torch.manual_seed(0)
     size = 400
     plain = torch.nn.Linear(size, 8).weight.detach().std()
-    layer = EquivariantLinear(Mirror.halves(size), after)
+    layer = EquivariantLinear(Reflection.paired(size), after)
     with torch.no_grad():
         own = (layer(torch.eye(size)) - layer(torch.zeros(1, size))).std()
     assert float(own / plain) == pytest.approx(1.0, rel=0.1)
 
 
-@pytest.mark.parametrize("after", [ACTS, Mirror.same(1)])
-def test_even_and_odd_parts_give_what_whole_layers_give(after: Mirror) -> None:
+@pytest.mark.parametrize("after", [ACTS, Reflection.identity(1)])
+def test_even_and_odd_parts_give_what_whole_layers_give(after: Reflection) -> None:
     torch.manual_seed(0)
     mlp = EquivariantMLP(SEEN, after, [8, 4], torch.nn.ELU)
     x, y = torch.randn(2, 50, 6, requires_grad=True), torch.randn(2, 50, len(after.signs))
@@ -122,18 +122,18 @@ def test_even_and_odd_parts_give_what_whole_layers_give(after: Mirror) -> None:
 
 
 def test_a_copy_takes_the_mirror_images_that_it_is_given() -> None:
-    plain = Mirror(torch.arange(4), torch.ones(4))
+    plain = Reflection(torch.arange(4), torch.ones(4))
     copied = copy.deepcopy(plain)
     copied.load_state_dict(ACTS.state_dict())
-    assert (plain.evens, copied.evens) == (4, ACTS.evens)
+    assert (plain.even_size, copied.even_size) == (4, ACTS.even_size)
 
 
-@pytest.mark.parametrize("mirror", [SEEN, HIDDEN, ACTS, Mirror.halves(6), Mirror.same(3)])
-def test_parts_of_a_vector_are_its_even_and_its_odd_part(mirror: Mirror) -> None:
+@pytest.mark.parametrize("mirror", [SEEN, HIDDEN, ACTS, Reflection.paired(6), Reflection.identity(3)])
+def test_parts_of_a_vector_are_its_even_and_its_odd_part(mirror: Reflection) -> None:
     torch.manual_seed(0)
     x, w = torch.randn(2, 5, len(mirror.signs))
-    both, image = mirror.coordinates(x), mirror.coordinates(mirror(x))
-    assert torch.equal(image[:, : mirror.evens], both[:, : mirror.evens])
-    assert torch.equal(image[:, mirror.evens :], -both[:, mirror.evens :])
-    factors = torch.cat((mirror.project(w), mirror.project(w, odd=True)), 1)
+    both, image = mirror.to_even_odd(x), mirror.to_even_odd(mirror(x))
+    assert torch.equal(image[:, : mirror.even_size], both[:, : mirror.even_size])
+    assert torch.equal(image[:, mirror.even_size :], -both[:, mirror.even_size :])
+    factors = torch.cat((mirror.fold_weight(w), mirror.fold_weight(w, odd=True)), 1)
     torch.testing.assert_close((both * factors).sum(-1), (x * w).sum(-1))
