@@ -1,9 +1,10 @@
-"""`python -m skatemount.evaluate checkpoint=...`: how often a policy succeeds."""
+"""`python -m skatemount.evaluate checkpoint=...`: the success rate of a policy."""
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,73 +15,111 @@ if TYPE_CHECKING:
 
 
 def evaluate(config: EvaluateConfig, overrides: list[str]) -> None:
-    """Evaluate a policy with deterministic actions and print the results.
+    """Evaluate a policy with deterministic actions, write the results, and print them.
 
-    Settings: ``checkpoint`` (a run, a checkpoint, a file, ``latest``, ``best``, ``pretrained:NAME``), ``suite`` (the
-    checkpoint's own task if null), ``episodes``, ``seed``, ``json`` (file for the results), ``output`` (folder for the
-    results and a success map of each suite). Any setting of the task may be given besides;
-    `skatemount.evaluation.suite_task.evaluation_config` says how they go together.
+    Settings: ``checkpoint`` (a run, a checkpoint, a file, ``latest``, ``best``, ``pretrained:NAME``), ``suite`` (null
+    for the checkpoint's own task), ``episodes``, ``seed``, ``json`` (file for the results), ``output`` (folder for the
+    results and a success map of each suite), and any setting of the task;
+    `skatemount.evaluation.suite_task.evaluation_config` says which of them wins.
 
     Args:
-        config: As composed from the command line.
-        overrides: What the user asked for.
+        config: Settings composed from the command line.
+        overrides: The user's overrides.
 
     Raises:
-        ConfigError: No such policy or suite, or the policy does not fit the task.
+        ConfigError: There is no such policy or suite, or the policy does not fit the task.
     """
     from skatemount.cli import prepare_outputs
     from skatemount.evaluation import report
-    from skatemount.evaluation.success_map import plot_success_map
     from skatemount.evaluation.suite_task import EvaluationTask
     from skatemount.runs.provenance import package_versions
 
     prepare_outputs(config.json, config.output)
-    trials = EvaluationTask.prepare(config, overrides)
-    results = {}
-    for i, trial in enumerate(trials):
-        place = f" ({i + 1} of {len(trials)})" if len(trials) > 1 else ""
-        result = _evaluate(trial, config.episodes, f"{trial.name}{place}")
+    tasks = EvaluationTask.prepare(config, overrides)
+    results: dict[str, Evaluation] = {}
+    written: list[Path] = []
+    for i, task in enumerate(tasks):
+        place = f" ({i + 1} of {len(tasks)})" if len(tasks) > 1 else ""
+        result = _evaluate(task, config.episodes, f"{task.name}{place}")
         result.evaluated["versions"] = package_versions()
-        results[trial.name] = result
+        results[task.name] = result
+        # Files come before text: a pipe that closes early must not cost the results.
         if config.output is not None:
-            _write(result.to_dict(), Path(config.output) / f"{trial.file_stem}.json")
-            picture = Path(config.output) / f"{trial.file_stem}.png"
-            plot_success_map(result, [each.board for each in trial.configs.values()], picture)
-            print(f"written to {picture}")
-        if len(trials) > 1:
-            print(f"{trial.name}{place}: {result.success_rate:.1%}", flush=True)
-    if len(trials) > 1:
-        print(f"\n{trials[0].agent.name}, {config.episodes} episodes of each suite\n")
-        print(report.overview(results, "suite"))
-        document: dict[str, Any] = {"suites": {name: result.to_dict() for name, result in results.items()}}
-    else:
-        print(result.table())
-        failed = result.failed_episodes()
-        if failed:
-            print("", report.failed_episodes(result, trial.record_command(failed[0]["episode"])), sep="\n")
-        document = result.to_dict()
+            written += _write_outputs(task, result, Path(config.output))
+        if len(tasks) > 1:
+            print(f"{task.name}{place}: {result.success_rate:.1%}", flush=True)
     if config.json is not None:
-        _write(document, Path(config.json))
+        documents = {name: each.to_dict() for name, each in results.items()}
+        written.append(_write({"suites": documents} if len(tasks) > 1 else documents[task.name], Path(config.json)))
+    if len(tasks) > 1:
+        print(f"\n{tasks[0].agent.name}, {config.episodes} episodes of each suite\n")
+        print(report.overview(results, "suite"))
+    else:
+        print(report.table(result))
+        if failed := report.failed_episodes(result):
+            print(f"\n{failed}")
+    print()
+    for path in written:
+        print(f"written to {path}")
+    print(report.next_commands(film_commands(tasks, results)))
 
 
-def _evaluate(trial: EvaluationTask, episodes: int, doing: str) -> Evaluation:
-    """Evaluate with a progress bar that says what it is at."""
+def film_commands(tasks: Sequence[EvaluationTask], results: Mapping[str, Evaluation]) -> dict[str, str]:
+    """Return the commands that film a failure and the first success, as far as there are any, by their purpose.
+
+    Of several suites, the failure is of the suite with the lowest success rate, and the success is of the first suite
+    that has one.
+
+    Args:
+        tasks: The tasks evaluated.
+        results: Their results by name.
+    """
+    commands = {}
+    worst = min(tasks, key=lambda task: results[task.name].success_rate)
+    if failed := results[worst.name].failed_episodes():
+        commands["film a failure"] = worst.record_command(failed[0]["episode"])
+    for task in tasks:
+        if (episode := results[task.name].first_success()) is not None:
+            commands["film the first success"] = task.record_command(episode)
+            break
+    return commands
+
+
+def _evaluate(task: EvaluationTask, episodes: int, doing: str) -> Evaluation:
+    """Evaluate a policy behind a progress bar.
+
+    Args:
+        task: The policy and its task.
+        episodes: Number of episodes.
+        doing: Text beside the bar.
+    """
     from rich.progress import Progress
 
     with Progress(transient=True, disable=not sys.stdout.isatty()) as bar:
-        task = bar.add_task(doing, total=1.0)
+        row = bar.add_task(doing, total=1.0)
 
         def show(share: float, variant: str) -> None:
-            bar.update(task, completed=share, description=f"{doing}, {variant}" if variant else doing)
+            bar.update(row, completed=share, description=f"{doing}, {variant}" if variant else doing)
 
-        return trial.evaluate(episodes, show)
+        return task.evaluate(episodes, show)
 
 
-def _write(document: dict[str, Any], path: Path) -> None:
+def _write_outputs(task: EvaluationTask, result: Evaluation, folder: Path) -> list[Path]:
+    """Write the results and the success map of one task into a folder, and return both files."""
+    from skatemount.evaluation.success_map import plot_success_map
+
+    picture = folder / f"{task.file_stem}.png"
+    written = _write(result.to_dict(), folder / f"{task.file_stem}.json")
+    plot_success_map(result, [each.board for each in task.configs.values()], picture)
+    return [written, picture]
+
+
+def _write(document: dict[str, Any], path: Path) -> Path:
+    """Write a document as JSON, and return the file."""
     from skatemount.runs import atomic
 
     atomic.write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
-    print(f"written to {path}")
+    return path
 
 
 def main() -> None:
@@ -89,7 +128,7 @@ def main() -> None:
     from skatemount.utils import memory
 
     opengl.disable()
-    # Only now: importing the configuration imports dm_control, which looks for a display otherwise.
+    # After the choice above: the modules imported here may import dm_control, which looks for a display.
     with memory.lasting_objects():
         from skatemount import cli
 

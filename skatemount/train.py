@@ -19,6 +19,7 @@ def train(config: Config, overrides: list[str]) -> None:
         ConfigError: No stage, or a setting that cannot be used.
     """
     from skatemount.config import stages
+    from skatemount.evaluation import report
     from skatemount.training.chain import chain_to_train
     from skatemount.training.resume import resume_config
     from skatemount.training.trainer import Trainer
@@ -42,7 +43,7 @@ def train(config: Config, overrides: list[str]) -> None:
     finally:
         trainer.close()
     if result is not None:
-        print(result.table())
+        print(report.table(result))
     print(f"run: {trainer.run.path}")
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -15,7 +17,10 @@ from skatemount.agents.trained_policy import MODULE, make_policy_card
 from skatemount.config import compose, compose_program
 from skatemount.config.overrides import prepare
 from skatemount.envs.task import MountTask
-from skatemount.evaluate import evaluate
+from skatemount.evaluate import evaluate, film_commands
+from skatemount.evaluation.records import EpisodeRecords
+from skatemount.evaluation.results import Evaluation
+from skatemount.evaluation.suite_task import EvaluationTask
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.runs.checkpoint import save_policy
 from skatemount.utils.errors import ConfigError
@@ -56,13 +61,12 @@ def test_prints_a_table_and_writes_the_same(policy: Path, tmp_path: Path, capsys
     assert evaluated["overrides"] == SHORT
     assert evaluated["versions"]["mujoco"]
     assert "tiny on mount-fixed" in printed
-    # Each failure is listed, with what films it.
+    # Each failure is listed, and the last line films one.
     failed = document["failed_episodes"]
     assert len(failed) == 5 - round(document["success"]["rate"] * 5) > 0
-    assert (
-        f"suite=mount-fixed episode_length=0.8 physics.threads=1 physics.num_worlds=4 episode={failed[0]['episode']}"
-        in printed
-    )
+    command = "suite=mount-fixed episode_length=0.8 physics.threads=1 physics.num_worlds=4"
+    assert f"{command} episode={failed[0]['episode']}" in printed.splitlines()[-1]
+    assert printed.splitlines()[-1].startswith("film a failure: python -m skatemount.record ")
     assert f"{document['success']['rate']:.1%}" in printed
     assert str(out) in printed
 
@@ -88,6 +92,47 @@ def test_several_suites_are_a_table_and_one_document(
         assert f"{result['success']['rate']:.1%}" in printed
         assert result["evaluated"]["suite"] == name
     assert "main failure" in printed
+    # The failure is of the suite with the lowest success rate.
+    rates = {name: result["success"]["rate"] for name, result in document["suites"].items()}
+    worst = min(rates, key=lambda name: rates[name])
+    (film,) = (line for line in printed.splitlines() if line.startswith("film a failure: "))
+    number = document["suites"][worst]["failed_episodes"][0]["episode"]
+    assert f"suite={worst} " in film and film.endswith(f" episode={number}")
+
+
+class Broken(io.StringIO):
+    """A pipe whose reader has gone."""
+
+    def write(self, text: str) -> int:
+        raise BrokenPipeError
+
+
+def test_files_are_written_before_anything_is_printed(
+    policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdout", Broken())
+    with pytest.raises(BrokenPipeError):
+        run(policy, f"json={tmp_path}/one.json", f"output={tmp_path}/results", "suite=mount-fixed")
+    assert json.loads((tmp_path / "one.json").read_text())["episodes"] == 5
+    assert len(list((tmp_path / "results").iterdir())) == 2
+
+
+def test_the_next_commands_film_a_failure_and_a_success(policy: Path) -> None:
+    asked = [f"checkpoint={policy}", "suite=all", "suite.members=[balance-fixed,rolling]"]
+    tasks = EvaluationTask.prepare(compose(None, asked), asked)
+
+    def result(*success: int) -> Evaluation:
+        tensors: dict[str, Any] = {name: torch.zeros(len(success)) for name in EpisodeRecords.__annotations__}
+        tensors["start"] = torch.zeros(len(success), 3)
+        tensors |= {name: torch.zeros(len(success), dtype=torch.int64) for name in ("variant", "end")}
+        tensors |= {"number": torch.arange(len(success)), "success": torch.tensor(success) > 0}
+        return Evaluation(EpisodeRecords(**tensors), ["not_mounted"])
+
+    commands = film_commands(tasks, {"balance-fixed": result(1, 1, 0), "rolling": result(1, 0, 0)})
+    assert "suite=rolling" in commands["film a failure"] and commands["film a failure"].endswith("episode=1")
+    assert commands["film the first success"] == tasks[0].record_command(0)
+    assert list(film_commands(tasks, {"balance-fixed": result(0), "rolling": result(0)})) == ["film a failure"]
+    assert list(film_commands(tasks, {"balance-fixed": result(1), "rolling": result(1)})) == ["film the first success"]
 
 
 def test_output_is_a_folder_of_results_and_success_maps(policy: Path, tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def main() -> None:
     for suite in (each for name in options.suites for each in members_of(load_suite(name))):
         result = EvaluationTask.of(agent, suite).evaluate(options.episodes)
         result.evaluated = {key: value for key, value in result.evaluated.items() if key not in LOCAL}
-        print(suite.name, result.table(), sep="\n", flush=True)
+        print(suite.name, report.table(result), sep="\n", flush=True)
         results[suite.name] = result
     card = agent.card
     card.suites = {name: result.to_dict(failed_episodes=False) for name, result in results.items()}

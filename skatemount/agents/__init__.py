@@ -1,1 +1,1 @@
-"""Trained policies: loading, what they see and do, growing and joining them."""
+"""Trained policies: loading, what they read and what their actions mean, transfer, and switching between two."""

@@ -1,4 +1,4 @@
-"""The contract between a policy and its task: what it sees, and what its actions mean."""
+"""The interface between a policy and a task: the layout of the observation, and the meaning of the actions."""
 
 from __future__ import annotations
 
@@ -15,46 +15,45 @@ from skatemount.utils.errors import ConfigError
 JOINTS = tuple(f"{leg}_{link}" for leg in LEGS for link in LINKS)
 
 ObservationLayout = list[dict[str, Any]]
-"""What a policy sees, as `observation_layout` gives it."""
+"""The terms of the observation in order, as `observation_layout` returns them."""
 
 
-def observation_layout(task: MountTask) -> list[dict[str, Any]]:
-    """What a policy for a task sees.
+def observation_layout(task: MountTask) -> ObservationLayout:
+    """Return the layout of a task's observation.
 
     Args:
         task: The task.
 
     Returns:
-        For each part in order: the ``key`` of the vector it is in (``observation``, or
-        ``privileged`` for what only the critic sees), its name, size and scale, and clip and
-        parameters where it has any.
+        An entry for each term in order: the ``key`` of its vector (``observation``, or ``privileged`` for what only the
+        critic reads), its ``name``, ``size`` and ``scale``, and its clip and parameters if it has any.
     """
     mdp, settings = task.make_mdp(torch.Generator()), task.config.observation
-    parts = []
+    layout = []
     for key, table, terms in (
         ("observation", mdp.observation, settings.policy),
         ("privileged", mdp.privileged, settings.privileged),
     ):
         for entry in table.layout():
             term = terms[entry["name"]]
-            part = {"key": key, **entry}
+            described = {"key": key, **entry}
             if term.clip is not None:
-                part["clip"] = float(term.clip)
+                described["clip"] = float(term.clip)
             if term.params:
-                part["params"] = dict(term.params)
-            parts.append(part)
-    return parts
+                described["params"] = dict(term.params)
+            layout.append(described)
+    return layout
 
 
 def action_interface(task: MountTask) -> dict[str, Any]:
-    """What the actions of a policy for a task mean.
+    """Return the meaning of the actions in a task.
 
     Args:
         task: The task.
 
     Returns:
-        ``joints`` in order; the target of each is ``default_pose + scale * action`` in rad with
-        the action limited to ``clip``; ``control_step`` is the time between two actions, s.
+        ``joints`` in order. The target of each is ``default_pose + scale * action`` in rad, with the action limited to
+        ``clip``. ``control_step`` is the time between two actions, s.
     """
     robot = task.scene.robot
     return {
@@ -67,74 +66,76 @@ def action_interface(task: MountTask) -> dict[str, Any]:
 
 
 def check_interface(card: PolicyCard, task: MountTask, where: str = "checkpoint") -> None:
-    """Make sure that a policy sees in a task what it was trained to see, and that its actions mean the same.
+    """Check that a task gives the observation that a policy was trained with, and that actions mean the same.
 
     Args:
         card: The policy's card.
         task: The task.
-        where: What to call the policy in messages.
+        where: Name of the policy in messages.
 
     Raises:
-        ConfigError: They differ; the line says in what.
+        ConfigError: They differ; the message names the first difference.
     """
     theirs, ours = card.observation, observation_layout(task)
     for i in range(max(len(theirs), len(ours))):
         a = theirs[i] if i < len(theirs) else None
         b = ours[i] if i < len(ours) else None
         if a != b:
-            raise ConfigError(f"{where}: part {i + 1} of its observation is {_part(a)}, the task gives {_part(b)}")
+            raise ConfigError(f"{where}: part {i + 1} of its observation is {_words(a)}, the task gives {_words(b)}")
     check_actions(card, task, where)
 
 
 def check_actions(card: PolicyCard, task: MountTask, where: str) -> None:
-    """Make sure that a policy's actions mean in a task what they meant in training; see `check_interface`."""
+    """Check that actions mean in a task what they meant in a policy's training; see `check_interface`."""
     action = action_interface(task)
     for name, value in action.items():
         if card.action.get(name) != value:
             raise ConfigError(f"{where}: its actions have {name}={card.action.get(name)}, the task's {value}")
 
 
-def _part(part: dict[str, Any] | None) -> str:
-    if part is None:
+def _words(entry: dict[str, Any] | None) -> str:
+    """Return an entry of a layout as words for a message."""
+    if entry is None:
         return "nothing"
-    extras = [f"{k}={v}" for k, v in part.items() if k not in ("key", "name")]
-    return f"{part.get('key')}.{part.get('name')} ({', '.join(extras)})"
+    extras = [f"{k}={v}" for k, v in entry.items() if k not in ("key", "name")]
+    return f"{entry.get('key')}.{entry.get('name')} ({', '.join(extras)})"
 
 
 def feature_indices(given: ObservationLayout, card: PolicyCard, key: str, where: str, giver: str) -> Tensor:
-    """Where the values that a policy saw in its training are in a vector that shows as much or more.
+    """Return the indices of a policy's inputs in a vector with the same or more terms.
 
     Args:
-        given: What is shown.
+        given: Layout of the vector.
         card: The policy's card.
-        key: Of the vector.
-        where: What to call the policy in messages.
-        giver: What to call whatever shows more.
+        key: ``observation`` or ``privileged``.
+        where: Name of the policy in messages.
+        giver: Name in messages of what the vector belongs to.
 
     Returns:
-        One place for each of the policy's values, in its order.
+        ``[D]`` int64, an index for each of the policy's inputs, in its order.
 
     Raises:
-        ConfigError: Something of it is not shown, or not in the same way; the line says what.
+        ConfigError: A term is missing, or is not the same; the message names it.
     """
     shown, ends, end = {}, {}, 0
     for entry in given:
         if entry["key"] == key:
             end += entry["size"]
             shown[entry["name"]], ends[entry["name"]] = entry, end
-    places = []
-    for saw in card.observation:
-        if saw["key"] != key:
+    indices = []
+    for needed in card.observation:
+        if needed["key"] != key:
             continue
-        name, part = saw["name"], shown.get(saw["name"])
-        if part is None or _kind(part) != _kind(saw) or part["size"] < saw["size"]:
-            raise ConfigError(f"{where}: it sees {_part(saw)}, {giver} gives {_part(part)}")
-        # Of several frames the newest is the last.
-        places.append(torch.arange(ends[name] - saw["size"], ends[name]))
-    return torch.cat(places)
+        name = needed["name"]
+        found = shown.get(name)
+        if found is None or _without_frames(found) != _without_frames(needed) or found["size"] < needed["size"]:
+            raise ConfigError(f"{where}: it reads {_words(needed)}, {giver} gives {_words(found)}")
+        # The newest of several frames is the last.
+        indices.append(torch.arange(ends[name] - needed["size"], ends[name]))
+    return torch.cat(indices)
 
 
-def _kind(part: dict[str, Any]) -> dict[str, Any]:
-    """What must be the same of a part: all but how many frames there are."""
-    frames = part.get("history_length", 1)
-    return {**part, "size": part["size"] // frames, "history_length": 0}
+def _without_frames(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return an entry of a layout as if it had one frame, for comparison."""
+    frames = entry.get("history_length", 1)
+    return {**entry, "size": entry["size"] // frames, "history_length": 0}

@@ -1,4 +1,4 @@
-"""Two policies one after the other, as in the paper: one walks up to the board, the other mounts it."""
+"""Two policies that take turns, as in the paper: one walks up to the board, the other mounts it."""
 
 from __future__ import annotations
 
@@ -18,86 +18,78 @@ from skatemount.runs.shipped import PRETRAINED, shipped_file
 from skatemount.utils.errors import ConfigError
 
 MARGIN = 0.3
-"""How much farther than the switch_distance the robot must be for the walking policy to take over again, m."""
+"""Distance beyond ``switch_distance`` at which the walking policy takes over again, m."""
 
 
 @dataclass
 class SwitchingPolicy:
-    """A walking and a mounting policy that take turns in each world.
+    """A walking and a mounting policy that take turns in each world, by the distance from the board.
 
     The walking policy follows the velocity command that the environment computes from the board's pose
-    (`skatemount.envs.commands.toward_board`). The mounting policy sees the whole observation.
+    (`skatemount.envs.commands.toward_board`). The mounting policy reads the whole observation.
 
     Attributes:
-        walk: The walking policy.
-        mount: The mounting policy.
-        walker_features: ``[D]``, which values of the observation the walking policy sees, in its order.
-        switch_distance: Distance between trunk and deck's centre in the plane at which the mounting policy takes over,
-            m.
+        walker: The walking policy.
+        mounter: The mounting policy.
+        walker_indices: ``[D]`` int64, indices into the observation of the entries that the walking policy reads, in its
+            order.
+        switch_distance: Horizontal distance between trunk and deck's center below which the mounting policy acts, m.
     """
 
-    walk: ActorCritic
-    mount: ActorCritic
-    walker_features: Tensor
+    walker: ActorCritic
+    mounter: ActorCritic
+    walker_indices: Tensor
     switch_distance: float
 
     def actor_in(self, env: MountEnv) -> Callable[[TensorDictBase], TensorDictBase]:
-        """What acts in an environment from its next reset on; it remembers whose turn it is in each world.
-
-        Args:
-            env: The environment.
-        """
+        """Return an actor that remembers which policy acts in each world; see `skatemount.agents.policy.Policy`."""
         mounting = torch.zeros(env.num_worlds, dtype=torch.bool, device=env.device)
 
-        def act(seen: TensorDictBase) -> TensorDictBase:
+        def act(state: TensorDictBase) -> TensorDictBase:
             nonlocal mounting
             distance = env.episode.distance
             mounting = (distance < self.switch_distance) | (mounting & (distance < self.switch_distance + MARGIN))
-            walked = self.walk.actor(TensorDict(observation=seen["observation"][:, self.walker_features]))
-            acted = self.mount.actor(seen)
-            acted["action"] = torch.where(mounting.unsqueeze(1), acted["action"], walked["action"])
-            return acted
+            walking = self.walker.actor(TensorDict(observation=state["observation"][:, self.walker_indices]))
+            result = self.mounter.actor(state)
+            result["action"] = torch.where(mounting.unsqueeze(1), result["action"], walking["action"])
+            return result
 
         return act
 
 
-Policy = ActorCritic | SwitchingPolicy
-"""What can be evaluated."""
-
-
 @dataclass
 class SwitchingAgent(TrainedPolicy):
-    """Two policies that are tried as one; configuration, card and path are the mounting policy's.
+    """Two trained policies that are evaluated as one. Settings, card and path are those of the mounting policy.
 
     Attributes:
         walker: The walking policy.
-        walker_features: See `SwitchingPolicy`.
+        walker_indices: See `SwitchingPolicy`.
         switch_distance: See `SwitchingPolicy`.
     """
 
     walker: TrainedPolicy
-    walker_features: Tensor
+    walker_indices: Tensor
     switch_distance: float
 
     @property
     def name(self) -> str:
-        """What to call it."""
+        """Name for tables and files: the names of both policies."""
         return f"{self.walker.name}+{super().name}"
 
     def to(self, device: torch.device) -> None:
-        """Move what acts to a device."""
+        """Move both policies to a device."""
         super().to(device)
         self.walker.to(device)
-        self.walker_features = self.walker_features.to(device)
+        self.walker_indices = self.walker_indices.to(device)
 
     @property
     def policy(self) -> SwitchingPolicy:
-        """What acts."""
-        return SwitchingPolicy(self.walker.networks, self.networks, self.walker_features, self.switch_distance)
+        """The policy that acts."""
+        return SwitchingPolicy(self.walker.networks, self.networks, self.walker_indices, self.switch_distance)
 
     @property
     def settings(self) -> list[str]:
-        """How to ask for it on a command line."""
+        """Settings that name it on a command line."""
         return [f"pipeline={self.walker.spec}+{self.spec}", f"switch_distance={self.switch_distance}"]
 
     @classmethod
@@ -110,8 +102,8 @@ class SwitchingAgent(TrainedPolicy):
             root: Folder of all runs.
 
         Raises:
-            ConfigError: Not two policies, or the first one sees something that the second one does not, or they do not
-                act alike.
+            ConfigError: ``spec`` does not name two policies, the first one reads something that the second one does
+                not, or their actions differ in meaning.
         """
         names = spec.split("+")
         if len(names) != 2 or not all(names):
@@ -122,9 +114,9 @@ class SwitchingAgent(TrainedPolicy):
         )
         if walker.card.action != mounter.card.action:
             raise ConfigError(
-                f"pipeline={spec}: the cards of {names[0]} and {names[1]} differ in action; policies that take turns "
-                "must act alike"
+                f"pipeline={spec}: the actions of {names[0]} and {names[1]} have different meanings (joints, pose, "
+                "scale, clip or control step); policies that take turns need the same"
             )
-        where = f"pipeline={spec}: the first policy must see no more than the second; {names[0]}"
-        seen = feature_indices(mounter.card.observation, walker.card, "observation", where, names[1])
-        return cls(**vars(mounter), walker=walker, walker_features=seen, switch_distance=switch_distance)
+        where = f"pipeline={spec}: the first policy may read only what the second one reads; {names[0]}"
+        indices = feature_indices(mounter.card.observation, walker.card, "observation", where, names[1])
+        return cls(**vars(mounter), walker=walker, walker_indices=indices, switch_distance=switch_distance)

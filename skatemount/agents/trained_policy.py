@@ -1,17 +1,18 @@
-"""`TrainedPolicy`: a policy with the configuration it was trained in, and its card."""
+"""`TrainedPolicy`: a policy with the settings of its training and its card."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from skatemount import config as configuration
 from skatemount.agents.interface import action_interface, observation_layout
+from skatemount.agents.policy import Policy
 from skatemount.config import Config
 from skatemount.envs.task import MountTask
 from skatemount.models.actor_critic import ActorCritic
@@ -20,9 +21,6 @@ from skatemount.runs.find import find_checkpoint
 from skatemount.runs.provenance import package_versions
 from skatemount.runs.shipped import POLICIES, PRETRAINED
 from skatemount.utils.errors import ConfigError
-
-if TYPE_CHECKING:
-    from skatemount.agents.switching import Policy
 
 MODULE = "networks"
 """Name of the `ActorCritic` among the modules of a policy file: ``save_policy(path, {MODULE: ...})``."""
@@ -34,9 +32,9 @@ class TrainedPolicy:
 
     Attributes:
         networks: Actor and critic.
-        config: The whole configuration of its training.
-        card: What else is known about it.
-        path: Where it was loaded from, a checkpoint folder or a ``.safetensors`` file.
+        config: All settings of its training.
+        card: Its card: stage, interface, frames, metrics, versions.
+        path: Checkpoint folder or ``.safetensors`` file that it was loaded from.
     """
 
     networks: ActorCritic
@@ -49,16 +47,16 @@ class TrainedPolicy:
         """Load a policy.
 
         Args:
-            spec: As for `skatemount.runs.find.find_checkpoint`: a checkpoint, file or run, ``latest``,
-                ``best`` or ``pretrained:NAME``.
+            spec: A checkpoint, file or run, ``latest``, ``best`` or ``pretrained:NAME``; see
+                `skatemount.runs.find.find_checkpoint`.
             root: Folder of all runs.
-            setting: The setting's name, for messages.
+            setting: Name of the setting that holds ``spec``, for messages.
 
         Returns:
             The policy.
 
         Raises:
-            ConfigError: It is not there, or it does not fit what its card says or this version.
+            ConfigError: There is no such policy, or its weights do not fit its card or this version.
         """
         path = find_checkpoint(spec, root, setting)
         modules, card = load_policy(path)
@@ -73,41 +71,41 @@ class TrainedPolicy:
 
     @property
     def policy(self) -> Policy:
-        """What acts."""
+        """The policy that acts."""
         return self.networks
 
     def to(self, device: torch.device) -> None:
-        """Move what acts to a device."""
+        """Move the networks to a device."""
         self.networks.to(device)
 
     @property
     def spec(self) -> str:
-        """What loads the same policy again; "latest" may be another one tomorrow."""
+        """Specification that loads this policy again, unlike ``latest``, which changes."""
         return f"{PRETRAINED}{self.path.stem}" if self.path.parent == POLICIES else str(self.path)
 
     @property
     def settings(self) -> list[str]:
-        """How to ask for it on a command line."""
+        """Settings that name it on a command line."""
         return [f"checkpoint={self.spec}"]
 
     @property
     def name(self) -> str:
-        """What to call it: the run's and the checkpoint's name, or the file's."""
+        """Name for tables and files: run and checkpoint, or the file's name."""
         if self.path.parent.name == "checkpoints":
             return f"{self.path.parent.parent.name}/{self.path.name}"
         return self.path.stem
 
 
 def load_weights(networks: ActorCritic, modules: Mapping[str, Mapping[str, Tensor]], where: str) -> None:
-    """Put saved weights into networks.
+    """Load saved weights into networks.
 
     Args:
-        networks: Where to.
-        modules: What `skatemount.runs.checkpoint.load_policy` returned.
-        where: What to call the policy in messages.
+        networks: The networks to load into.
+        modules: Saved modules, as `skatemount.runs.checkpoint.load_policy` returns them.
+        where: Name of the policy in messages.
 
     Raises:
-        ConfigError: A weight is missing, unknown or of another shape; the line says which.
+        ConfigError: A weight is missing, unknown or has another shape; the message names it.
     """
     if MODULE not in modules:
         found = ", ".join(modules) or "nothing"
@@ -126,12 +124,12 @@ def load_weights(networks: ActorCritic, modules: Mapping[str, Mapping[str, Tenso
 
 
 def make_policy_card(config: Config, task: MountTask, frames: int, metrics: dict[str, Any] | None = None) -> PolicyCard:
-    """The card of a policy.
+    """Return the card of a policy.
 
     Args:
-        config: The whole configuration of its training.
+        config: All settings of its training.
         task: The task it was trained in.
-        frames: Environment steps trained.
+        frames: Number of environment steps trained.
         metrics: Training metrics at that moment.
     """
     return PolicyCard(

@@ -1,4 +1,4 @@
-"""How a training takes over a policy: as it is, or grown into a larger network or one that sees more."""
+"""Start a training from a trained policy: unchanged, or expanded into larger networks or a longer observation."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from skatemount.utils.errors import ConfigError
 
 
 def load_pretrained(networks: ActorCritic, agent: TrainedPolicy, task: MountTask, may_expand: bool, where: str) -> None:
-    """Put a policy into the networks of a training.
+    """Load a policy into the networks of a training.
 
     Args:
-        networks: Where to.
+        networks: Networks of the training.
         agent: The policy.
-        task: What is trained.
-        may_expand: The networks may be larger and see more than the policy; see `expand`.
-        where: What to call the policy in messages.
+        task: Task of the training.
+        may_expand: Allow networks that are larger or read more than the policy's; see `expand`.
+        where: Name of the policy in messages.
 
     Raises:
-        ConfigError: It does not fit the networks or the task; the line says what is in the way.
+        ConfigError: It does not fit the networks or the task; the message names the difference.
     """
     for name in ("activation", "normalize", "symmetric"):
         _check_same(name, networks.config, agent.config.network, where, "")
@@ -45,17 +45,17 @@ def load_pretrained(networks: ActorCritic, agent: TrainedPolicy, task: MountTask
     try:
         check_interface(agent.card, task, where)
     except ConfigError as error:
-        advice = "choose for this run what it was trained with, or another init_from"
-        if _sees_all_of_it(agent, task, where):
-            advice += ", or init_from_expand=true, which takes it over into a run that sees more"
+        advice = "set for this run what the policy was trained with, or another init_from"
+        if _gives_all_inputs(agent, task, where):
+            advice += ", or init_from_expand=true to extend the policy to the longer observation"
         raise ConfigError(f"{error}: {advice}") from error
     for name in ("actor", "critic"):
         _check_same(name, networks.config, agent.config.network, where, ", or init_from_expand=true for a larger one")
     load_weights(networks, {MODULE: agent.networks.state_dict()}, where)
 
 
-def _sees_all_of_it(agent: TrainedPolicy, task: MountTask, where: str) -> bool:
-    """Whether a task shows all that a policy saw, and its actions mean the same."""
+def _gives_all_inputs(agent: TrainedPolicy, task: MountTask, where: str) -> bool:
+    """Return True if a task's observation has all inputs of a policy, and actions mean the same."""
     try:
         check_actions(agent.card, task, where)
         for key in ("observation", "privileged"):
@@ -66,58 +66,62 @@ def _sees_all_of_it(agent: TrainedPolicy, task: MountTask, where: str) -> bool:
 
 
 def _check_same(name: str, config: NetworkConfig, old: NetworkConfig, where: str, otherwise: str) -> None:
+    """Raise `ConfigError` if a setting of the policy's network differs from this run's."""
     theirs, ours = getattr(old, name), getattr(config, name)
     if theirs != ours:
         raise ConfigError(
-            f"{where}: its network has {name}={theirs}, this run's {name}={ours}: choose the same network, "
+            f"{where}: the policy's network has {name}={theirs}, this run's {name}={ours}; set network.{name}={theirs} "
             f"or init_from=null{otherwise}"
         )
 
 
-def expand(networks: ActorCritic, agent: TrainedPolicy, sees: ObservationLayout, where: str) -> None:
-    """Put a policy into networks that are as large or larger, and see as much or more: they do what it did.
+def expand(networks: ActorCritic, agent: TrainedPolicy, layout: ObservationLayout, where: str) -> None:
+    """Load a policy into networks that are larger or read more, without changing its actions and values.
 
-    What is new in the observation, and what new hidden units say, has weight zero at first. After Chen, Goodfellow and
-    Shlens, "Net2Net: Accelerating Learning via Knowledge Transfer" (2016), with new units in place of copies.
+    New observation terms and the outputs of new hidden units start with weight zero. Follows Chen, Goodfellow and
+    Shlens, "Net2Net: Accelerating Learning via Knowledge Transfer" (2016), but new units are not copies of old ones.
 
     Args:
-        networks: Where to; what is new keeps the weights that it has been made with.
+        networks: Networks to load into. New units keep their initial weights.
         agent: The policy.
-        sees: What the networks see.
-        where: What to call the policy in messages.
+        layout: Layout of the networks' observation.
+        where: Name of the policy in messages.
 
     Raises:
-        ConfigError: The policy does not fit in; the line says what is in the way.
+        ConfigError: The networks are smaller or read less; the message names the difference.
     """
     old = agent.networks
     for name in ("actor", "critic"):
         _check_fits(name, networks.config, old.config, where)
-    seen, hidden = (feature_indices(sees, agent.card, key, where, "this run") for key in ("observation", "privileged"))
-    size = sum(part["size"] for part in sees if part["key"] == "observation")
-    inputs = (seen, torch.cat((seen, hidden + size)))
+    observation, privileged = (
+        feature_indices(layout, agent.card, key, where, "this run") for key in ("observation", "privileged")
+    )
+    size = sum(entry["size"] for entry in layout if entry["key"] == "observation")
+    inputs = (observation, torch.cat((observation, privileged + size)))
     symmetric = networks.config.symmetric
     with torch.no_grad():
-        for new_net, old_net, places in zip((networks.actor, networks.critic), (old.actor, old.critic), inputs):
+        for new_net, old_net, indices in zip((networks.actor, networks.critic), (old.actor, old.critic), inputs):
             new_layers, old_layers = _layers(new_net), _layers(old_net)
             rows = [_units(n.out_features, o.out_features, symmetric) for n, o in zip(new_layers, old_layers)]
-            # The outputs are no hidden units: they are in their own order.
+            # Outputs keep their order: they are not hidden units, whose halves mirror each other.
             rows[-1] = torch.arange(old_layers[-1].out_features)
-            for new, before, (entering, leaving) in zip(new_layers, old_layers, pairwise([places, *rows])):
+            for new, before, (entering, leaving) in zip(new_layers, old_layers, pairwise([indices, *rows])):
                 new.weight[leaving] = 0.0
                 new.weight[leaving.unsqueeze(1), entering] = before.weight
                 new.bias[leaving] = before.bias
-    for normalizer, other, places in zip(networks.normalizers, old.normalizers, inputs):
+    for normalizer, other, indices in zip(networks.normalizers, old.normalizers, inputs):
         assert isinstance(normalizer, RunningNormalizer) and isinstance(other, RunningNormalizer)
-        normalizer.inherit(other, places)
+        normalizer.inherit(other, indices)
     networks.deviation.load_state_dict(old.deviation.state_dict())
 
 
 def _check_fits(name: str, config: NetworkConfig, old: NetworkConfig, where: str) -> None:
+    """Raise `ConfigError` if the policy's layers do not fit into this run's."""
     theirs, ours = list(getattr(old, name)), list(getattr(config, name))
     if len(theirs) != len(ours) or any(n < o for n, o in zip(ours, theirs)):
         raise ConfigError(
-            f"{where}: its network has {name}={theirs}, which does not fit into this run's {name}={ours}: give as many "
-            "layers, each as large or larger"
+            f"{where}: the policy's network has {name}={theirs}, which does not fit into this run's {name}={ours}; "
+            f"network.{name} needs as many layers, each as large or larger"
         )
 
 
@@ -126,6 +130,9 @@ def _layers(network: nn.Module) -> list[nn.Linear]:
 
 
 def _units(size: int, old: int, symmetric: bool) -> Tensor:
-    """Where the old hidden units are among the new ones; in a symmetric network the second half mirrors the first."""
+    """Return the indices of the old hidden units among the new ones, ``[old]``.
+
+    In a symmetric network the second half of the units mirrors the first half, so each half grows by itself.
+    """
     units = torch.arange(old)
     return torch.where(units < old // 2, units, units - old // 2 + size // 2) if symmetric else units

@@ -1,1 +1,1 @@
-"""MountBench: how well a policy mounts, with intervals, from fixed seeds."""
+"""MountBench: success rates of a policy with confidence intervals, from fixed seeds."""

@@ -1,4 +1,4 @@
-"""Evaluation of a policy: whole episodes, deterministic actions, seeds that training does not use."""
+"""Evaluation of a policy over whole episodes, with deterministic actions and seeds that training does not use."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ import numpy as np
 import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from skatemount.agents.switching import Policy, SwitchingPolicy
+from skatemount.agents.policy import Policy
 from skatemount.config import Config
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.task import MountTask
-from skatemount.evaluation.records import EpisodeRecords, Recorder
+from skatemount.evaluation.records import EpisodeRecords, EpisodeTracker
 from skatemount.evaluation.results import Evaluation
 from skatemount.utils.devices import torch_threads
 from skatemount.utils.errors import ConfigError
 
 EVALUATION_SEED = 1_000_003
-"""Added to ``seed`` in evaluations and films, so that they never repeat a training's start states."""
+"""Added to ``seed`` in evaluations and films, so that they do not repeat the initial states of a training."""
 
 NUM_WORLDS = 256
-"""Worlds stepped together where nobody asks for another number. It is no setting of the machine's, and does not depend
-on how many episodes are asked for, because the worlds that are drawn depend on it."""
+"""Default number of worlds. The randomized worlds depend on it, so it is the same on every machine and for any number
+of episodes."""
 
 TIME_LIMIT = {"mount": "not_mounted", "gait": "not_followed"}
-"""What a failure is called that nothing ended before the time limit, by the task's criterion."""
+"""Name of a failure that lasted until the time limit, by the task's success criterion."""
 
 
 def mix_seeds(*parts: int) -> int:
-    """One seed made of several, so that neighbours of one do not meet neighbours of another.
+    """Return one seed made of several, different for different parts.
 
-    Torch's generator takes no more than the low 32 bits of a seed, so there are no more; the highest of them is set,
-    which no training has whose seed is below 2**31.
+    It has 32 bits, because torch's CPU generator uses no more. The highest bit is set, so it differs from the seed of
+    every training with a seed below 2**31.
 
     Args:
         parts: Integers, 0 or more; their order counts.
@@ -47,15 +47,15 @@ def mix_seeds(*parts: int) -> int:
 class Evaluator:
     """Evaluates policies in an environment that is built once.
 
-    Each world runs one whole episode a round, and a round lasts until every episode has ended: worlds that start anew
-    as soon as they are done would count short episodes, which are mostly failures, more often. Each round begins anew
-    from a seed of its own, so that any episode can be repeated by its round alone, equal weights give equal numbers,
-    and different weights meet the same worlds and start states.
+    Each world runs one whole episode per round, and a round lasts until every episode has ended. Worlds that restarted
+    at once would count short episodes, which are mostly failures, more often. Each round has a seed of its own: any
+    episode can be repeated from its round alone, equal weights give equal results, and different weights are evaluated
+    in the same worlds from the same initial states.
 
     Args:
-        config: Task to evaluate in, its noise and randomisation included.
-        num_worlds: Worlds stepped together; the configuration's number if none.
-        seed: Source of worlds, start states and noise.
+        config: Settings of the task, with its noise and randomization.
+        num_worlds: Number of worlds; None for the number in the settings.
+        seed: Seed of worlds, initial states and noise.
 
     Attributes:
         env: The environment.
@@ -65,9 +65,9 @@ class Evaluator:
         self.config = config
         self.seed = seed
         self.env = MountEnv(MountTask(config=config), num_worlds=num_worlds, seed=seed)
-        self._recorder = Recorder(self.env)
-        # Training's statistics are not asked for.
-        self.env.listeners[:] = [self._recorder.add]
+        self._tracker = EpisodeTracker(self.env)
+        # The statistics that a training logs are not needed here.
+        self.env.listeners[:] = [self._tracker.add]
 
     def run(
         self,
@@ -78,15 +78,15 @@ class Evaluator:
         """Evaluate a policy with deterministic actions.
 
         Args:
-            policy: One policy, or two that take turns; the weights stay as they are.
-            episodes: How many to count; of the last round the first worlds are.
-            progress: Called with the control steps done and to do.
+            policy: The policy. Its weights are not changed.
+            episodes: Number of episodes. The last round counts only its first worlds.
+            progress: Called with the number of control steps done and the total.
 
         Returns:
             The results.
 
         Raises:
-            ConfigError: Fewer than 1 episode.
+            ConfigError: ``episodes`` is below 1.
         """
         if episodes < 1:
             raise ConfigError(f"episodes={episodes} must be at least 1")
@@ -100,53 +100,54 @@ class Evaluator:
         parts = []
         for number in range(rounds):
             parts.append(self.round(policy, number, functools.partial(report, number)))
-            # A round of early ends is over sooner.
+            # A round is over early if every episode ended early.
             report(number + 1, 0)
-        return Evaluation(records=EpisodeRecords.cat(parts)[:episodes], ends=self.ends, evaluated=self.describe())
+        records = EpisodeRecords.cat(parts)[:episodes]
+        return Evaluation(records, end_names=self.end_names, evaluated=self.describe())
 
     def round(self, policy: Policy, number: int, watch: Callable[[int], None] | None = None) -> EpisodeRecords:
-        """One episode of every world, the same whenever it is run.
+        """Run one episode in every world; the same round always gives the same episodes.
 
         Args:
-            policy: One policy, or two that take turns.
-            number: Which round, from 0.
+            policy: The policy.
+            number: Number of the round, from 0.
             watch: Called at the start and after every control step, with the number of steps done.
 
         Returns:
-            The episodes ``number * N`` to ``(number + 1) * N - 1`` of the seed, one a world in order.
+            The episodes ``number * N`` to ``(number + 1) * N - 1`` of the seed, one per world in order.
 
         Raises:
             ConfigError: The engine's memory was too small for all contacts.
         """
-        env, recorder = self.env, self._recorder
+        env, tracker = self.env, self._tracker
         watch = watch or (lambda step: None)
         with deterministic():
             env.set_seed(mix_seeds(self.seed, number))
-            seen = env.reset()
-            actor = policy.actor_in(env) if isinstance(policy, SwitchingPolicy) else policy.actor
-            recorder.begin()
+            state = env.reset()
+            actor = policy.actor_in(env)
+            tracker.begin()
             watch(0)
             for step in range(1, env.mdp.context.episode_steps + 1):
-                seen = env.step(actor(seen))["next"]
+                state = env.step(actor(state))["next"]
                 watch(step)
-                if recorder.finished:
+                if tracker.finished:
                     break
         if lost := env.physics.overflowed():
             raise ConfigError(lost)
-        return recorder.records(number * env.num_worlds)
+        return tracker.records(number * env.num_worlds)
 
     @property
-    def ends(self) -> list[str]:
-        """What a failure may end by, as `EpisodeRecords.end` counts."""
+    def end_names(self) -> list[str]:
+        """Names of the ends of an episode, indexed by `EpisodeRecords.end`."""
         mdp = self.env.mdp
         return [TIME_LIMIT[mdp.criterion], *mdp.termination_names()]
 
     def has_ended(self, world: int) -> bool:
-        """Whether a world's episode of the round that is running has ended."""
-        return self._recorder.has_ended(world)
+        """Return True if a world's episode of the current round has ended."""
+        return self._tracker.has_ended(world)
 
     def describe(self) -> dict[str, Any]:
-        """How it evaluates, as plain values."""
+        """Return the settings of the evaluation as plain values."""
         return {
             "num_worlds": self.env.num_worlds,
             "episode_length": self.config.episode_length,
@@ -154,16 +155,16 @@ class Evaluator:
         }
 
     def close(self) -> None:
-        """Free the environment."""
+        """Close the environment."""
         self.env.close()
 
 
 @contextlib.contextmanager
 def deterministic() -> Iterator[None]:
-    """Mean actions, no gradients, and matrix products that are exact and the same whatever training has chosen.
+    """Use mean actions, no gradients, and matrix products of full precision on one thread, for a ``with`` block.
 
-    On one thread, as the sums of a matrix product come out differently with another number of them; physics, which
-    takes nearly all the time, does not depend on its threads.
+    The rounding of a matrix product depends on torch's number of threads. Physics, which takes nearly all the time,
+    does not depend on its number of threads and keeps it.
     """
     precision = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("highest")

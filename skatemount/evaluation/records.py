@@ -1,4 +1,4 @@
-"""What is kept of every evaluated episode."""
+"""Records of evaluated episodes, and the tracker that makes them."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ SLIP_SPEED = 0.25
 
 @dataclass
 class EpisodeRecords:
-    """N episodes, each with what came of it.
+    """Measurements of N episodes.
 
     Attributes:
-        number: ``[N]`` int64, which episode of the evaluation it is.
-        variant: ``[N]`` int64, which variant of the suite.
-        start: ``[N, 3]`` x, y and yaw of the trunk in the board's frame at the start, m and rad.
+        number: ``[N]`` int64, number of the episode in the evaluation.
+        variant: ``[N]`` int64, index of the suite's variant.
+        start: ``[N, 3]`` initial x, y and yaw of the trunk in the board's frame, m and rad.
         board_fixed: ``[N]`` bool.
         success: ``[N]`` bool.
-        end: ``[N]`` int64, 0 for the time limit, i for the i-th of `skatemount.envs.mdp.Mdp.termination_names`, the
-            first of them that was true.
+        end: ``[N]`` int64, 0 for the time limit, i for the i-th of `skatemount.envs.mdp.Mdp.termination_names`. If several
+            were true in the last step, it is the first of them.
         duration: ``[N]`` s.
-        mount_time: ``[N]`` s from the first contact with the deck to standing on it; not a number unless it succeeded
-            and there was something to mount.
+        mount_time: ``[N]`` time from the first contact with the deck to standing on it, s; nan for failures and for
+            tasks without mounting.
         feet: ``[N]`` mean number of feet on the deck during the last second before the time limit; 0 if the episode
             ended earlier.
-        displacement: ``[N]`` m in the plane from where the deck's centre was at the start to where it was at the end.
-        slips: ``[N]`` int64, see `sliding`.
-        energy: ``[N]`` J, the sum over the control steps of `power` times the control step.
+        displacement: ``[N]`` horizontal distance between the deck's center at the start and at the end, m.
+        slips: ``[N]`` int64, number of slips; see `sliding`.
+        energy: ``[N]`` sum over the control steps of `power` times the control step, J.
     """
 
     number: Tensor
@@ -52,7 +52,7 @@ class EpisodeRecords:
     energy: Tensor
 
     def __getitem__(self, rows: Tensor | slice) -> EpisodeRecords:
-        """The records of some episodes."""
+        """Return the records of some episodes."""
         return EpisodeRecords(**{name: value[rows] for name, value in vars(self).items()})
 
     def __len__(self) -> int:
@@ -60,16 +60,16 @@ class EpisodeRecords:
 
     @staticmethod
     def cat(parts: list[EpisodeRecords]) -> EpisodeRecords:
-        """Join records."""
+        """Concatenate records."""
         return EpisodeRecords(**{name: torch.cat([getattr(p, name) for p in parts]) for name in vars(parts[0])})
 
 
 def sliding(sim: SimState, on_deck: Tensor) -> Tensor:
-    """Which feet slide on the deck, ``[N, 4]`` bool.
+    """Return the feet that slide on the deck, ``[N, 4]`` bool.
 
-    The foot presses on the deck and its centre moves along the deck's plane, relative to the board, faster than
-    0.25 m/s. A *slip* is a control step at which a foot slides and did not slide a step before: one long slide counts
-    once, and so does a foot that lands sliding.
+    A foot slides if it presses on the deck and its center moves along the deck's plane, relative to the board, faster
+    than 0.25 m/s. A *slip* is a control step in which a foot slides and did not slide in the step before. One long
+    slide counts once, and so does a foot that slides as it lands.
 
     Args:
         sim: The state.
@@ -79,15 +79,18 @@ def sliding(sim: SimState, on_deck: Tensor) -> Tensor:
 
 
 def power(sim: SimState) -> Tensor:
-    """Mechanical power of the joints, sum of |torque x velocity|, W, ``[N]``: what is braked is not given back."""
+    """Return the mechanical power of the joints, ``sum(|torque * velocity|)``, ``[N]``, W.
+
+    Absolute values, because a motor that brakes does not give energy back.
+    """
     return (sim.joint_torque * sim.joint_vel).abs().sum(-1)
 
 
-class Recorder:
-    """Watches one episode of every world of an environment.
+class EpisodeTracker:
+    """Measures one episode of every world of an environment.
 
-    It listens to the environment instead of reading what a step returns, as that has no physical state in it. Worlds
-    whose episode has ended go on being stepped and are not looked at any more.
+    It is a listener of the environment, because what a step returns holds no physical state. Worlds whose episode has
+    ended are still stepped; the tracker ignores them.
 
     Args:
         env: The environment.
@@ -101,7 +104,7 @@ class Recorder:
         self._first_counted = context.episode_steps - self._last
 
     def begin(self) -> None:
-        """Forget the episodes before; call after the environment's reset."""
+        """Begin new episodes; call after the environment's reset."""
         env, n = self._env, self._env.num_worlds
         self._board = env.sim.board_pos[:, :2].clone()
         self._start, self._fixed = env.episode.start.clone(), env.sim.board_fixed.clone()
@@ -115,25 +118,25 @@ class Recorder:
 
     @property
     def finished(self) -> bool:
-        """Whether every world's episode has ended."""
+        """True if the episodes of all worlds have ended."""
         return bool((self._end >= 0).all())
 
     def has_ended(self, world: int) -> bool:
-        """Whether a world's episode has ended."""
+        """Return True if a world's episode has ended."""
         return bool(self._end[world] >= 0)
 
     def add(self, episode: EpisodeState, outcome: StepResult, done: Tensor) -> None:
-        """Account for a step; a listener of `MountEnv`.
+        """Add a control step to the measurements; a listener of `MountEnv`.
 
         Args:
             episode: The episodes after the step.
-            outcome: What it led to.
+            outcome: Result of the step.
             done: ``[N]`` bool, episodes that ended.
         """
         sim = self._env.sim
         self._steps += 1
         running = self._end < 0
-        # The last row is that of worlds whose physics failed: what they show means nothing.
+        # The last row is true where physics failed: the state of such a world means nothing.
         sound = running & ~outcome.termination_flags[-1]
         slides = sliding(sim, episode.on_deck)
         onsets = (slides & ~self._sliding).sum(-1)
@@ -153,10 +156,10 @@ class Recorder:
         self._mount_time = torch.where(known, success.time_to_mount(episode, self._step), self._mount_time)
 
     def records(self, first: int) -> EpisodeRecords:
-        """The episodes, once all have ended.
+        """Return the records of the episodes; call when all have ended.
 
         Args:
-            first: Number of the first world's; the others follow in order.
+            first: Number of the first world's episode; the others follow in order.
         """
         n = len(self._end)
         return EpisodeRecords(

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from skatemount.evaluation.results import Evaluation
 from skatemount.utils.tables import new_table, rendered
-
-if TYPE_CHECKING:
-    from skatemount.evaluation.results import Evaluation
 
 _IN_WORDS = {
     "not_mounted": "not mounted at the time limit",
@@ -19,12 +17,12 @@ _IN_WORDS = {
 
 
 def in_words(end: str) -> str:
-    """What ended a failed episode, in words."""
+    """Return the name of an episode's end in words."""
     return _IN_WORDS.get(end, end.replace("_", " "))
 
 
 def table(result: Evaluation) -> str:
-    """One evaluation, several lines; with a row for each variant, if there are any."""
+    """Return one evaluation as a table, with a second table by variant if the suite has variants."""
     low, high = result.interval
     rows = {
         "episodes": str(result.episodes),
@@ -45,14 +43,14 @@ def table(result: Evaluation) -> str:
     return text
 
 
-def overview(results: Mapping[str, Evaluation], what: str) -> str:
-    """A row for each of several evaluations.
+def overview(results: Mapping[str, Evaluation], heading: str) -> str:
+    """Return a table with a row for each of several evaluations.
 
     Args:
         results: The evaluations by name.
-        what: What the names are names of.
+        heading: Heading of the column of names.
     """
-    made = new_table(what, "success", "95 % interval", "time to mount", "feet", "main failure")
+    made = new_table(heading, "success", "95 % interval", "time to mount", "feet", "main failure")
     for name, result in results.items():
         low, high = result.interval
         median = result.time_to_mount(0.5)
@@ -70,20 +68,19 @@ def overview(results: Mapping[str, Evaluation], what: str) -> str:
 
 
 def failures(result: Evaluation) -> str:
-    """How many episodes failed, and by what, in a line."""
+    """Return the number of failures and their causes in one line."""
     causes = result.failures()
     if not causes:
         return "none"
     return f"{sum(causes.values())}: " + ", ".join(f"{in_words(name)} {count}" for name, count in causes.items())
 
 
-def failed_episodes(result: Evaluation, command: str, most: int = 5) -> str:
-    """The first failed episodes, and how to film one; an empty string if there are none.
+def failed_episodes(result: Evaluation, most: int = 5) -> str:
+    """Return a table of the first failed episodes; an empty string if there are none.
 
     Args:
         result: The evaluation.
-        command: What films the first of them.
-        most: How many episodes to list.
+        most: Number of episodes to list.
     """
     failed = result.failed_episodes()
     if not failed:
@@ -93,7 +90,17 @@ def failed_episodes(result: Evaluation, command: str, most: int = 5) -> str:
     for each in failed[:most]:
         made.add_row(*_row(each))
     more = f"\n  and {len(failed) - most} more" if len(failed) > most else ""
-    return f"{rendered(made)}{more}\n\nfilm one of them: {command}"
+    return rendered(made) + more
+
+
+def next_commands(commands: Mapping[str, str]) -> str:
+    """Return the commands that a user may want next, one per line, each with its purpose.
+
+    Args:
+        commands: The commands by their purpose, such as "film a failure".
+    """
+    width = max(map(len, commands), default=0) + 1
+    return "\n".join(f"{f'{purpose}:':{width}} {command}" for purpose, command in commands.items())
 
 
 def _row(failed: dict[str, Any]) -> list[str]:

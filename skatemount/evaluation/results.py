@@ -1,4 +1,4 @@
-"""What an evaluation found: the episodes, and what they amount to."""
+"""Results of an evaluation: the episodes and their statistics."""
 
 from __future__ import annotations
 
@@ -8,31 +8,30 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from skatemount.evaluation import report
 from skatemount.evaluation.intervals import wilson_interval
 from skatemount.evaluation.records import EpisodeRecords
 
 
 @dataclass
 class Evaluation:
-    """What came of the evaluated episodes.
+    """Results of the evaluated episodes.
 
     Attributes:
         records: The episodes, in the order of their numbers.
-        ends: What a failure may have ended by, as `EpisodeRecords.end` counts: first what it is called when nothing
-            ended the episode before the time limit, then the task's ends.
-        variants: Names of the suite's variants, as `EpisodeRecords.variant` counts; empty if it has none.
-        evaluated: What was evaluated, and how: everything that repeating it takes.
+        end_names: Names of the ends of an episode, indexed by `EpisodeRecords.end`. The first is the name of a failure
+            that lasted until the time limit, the others are the task's terminations.
+        variants: Names of the suite's variants, indexed by `EpisodeRecords.variant`; empty if it has none.
+        evaluated: Policy, suite and settings of the evaluation: all that is needed to repeat it.
     """
 
     records: EpisodeRecords
-    ends: list[str]
+    end_names: list[str]
     variants: list[str] = field(default_factory=list)
     evaluated: dict[str, Any] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
-        """The policy, the suite and its version, as far as they are known."""
+        """Title for tables and figures: policy, suite and the suite's version, as far as they are known."""
         what = [str(self.evaluated[key]) for key in ("checkpoint", "suite") if key in self.evaluated]
         definition = self.evaluated.get("definition")
         version = f", version {definition['version']}" if definition else ""
@@ -40,12 +39,12 @@ class Evaluation:
 
     @property
     def episodes(self) -> int:
-        """How many."""
+        """Number of episodes."""
         return len(self.records)
 
     @property
     def successes(self) -> int:
-        """How many of them succeeded."""
+        """Number of successes."""
         return int(self.records.success.sum())
 
     @property
@@ -55,47 +54,52 @@ class Evaluation:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Wilson's interval of the success rate, with 95 % confidence."""
+        """Wilson's 95 % interval of the success rate."""
         return wilson_interval(self.successes, self.episodes)
 
     @property
     def feet_on_board(self) -> float:
-        """Mean number of feet on the deck in the last second, 0 to 4; an episode that ended early counts 0."""
+        """Mean number of feet on the deck in the last second, 0 to 4; episodes that ended early count 0."""
         return _mean(self.records.feet)
 
     @property
     def slips(self) -> float:
-        """Mean number of slips of an episode."""
+        """Mean number of slips per episode."""
         return _mean(self.records.slips)
 
     @property
     def energy(self) -> float:
-        """Mean mechanical energy of an episode, J; one that ended early counts what it took until then."""
+        """Mean mechanical energy per episode, J; episodes that ended early count their energy until then."""
         return _mean(self.records.energy)
 
     def time_to_mount(self, quantile: float) -> float | None:
-        """A quantile of the times to mount of the episodes that succeeded, s; none if nothing was mounted."""
+        """Return a quantile of the successful episodes' times to mount, s; None if nothing was mounted."""
         times = self.records.mount_time
         return _quantile(times[self.records.success & times.isfinite()], quantile)
 
     def displacement(self, quantile: float) -> float | None:
-        """A quantile of how far the deck's centre moved, over all episodes, m."""
+        """Return a quantile of the deck's displacement over all episodes, m."""
         return _quantile(self.records.displacement, quantile)
 
     def failures(self) -> dict[str, int]:
-        """How many failed episodes ended by what, the most frequent first."""
+        """Return the number of failures by the name of their end, the most frequent first."""
         failed = self.records.end[~self.records.success]
-        counts = torch.bincount(failed, minlength=len(self.ends)).tolist()
-        found = {name: count for name, count in zip(self.ends, counts, strict=True) if count}
+        counts = torch.bincount(failed, minlength=len(self.end_names)).tolist()
+        found = {name: count for name, count in zip(self.end_names, counts, strict=True) if count}
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
     def by_variant(self) -> dict[str, Evaluation]:
-        """The episodes of each variant that has any, apart."""
+        """Return the results of each variant that has episodes."""
         parts = {name: self.records[self.records.variant == i] for i, name in enumerate(self.variants)}
-        return {name: Evaluation(records, self.ends) for name, records in parts.items() if len(records)}
+        return {name: Evaluation(records, self.end_names) for name, records in parts.items() if len(records)}
+
+    def first_success(self) -> int | None:
+        """Return the number of the first episode that succeeded, or None if none did."""
+        numbers = self.records.number[self.records.success]
+        return int(numbers[0]) if len(numbers) else None
 
     def failed_episodes(self) -> list[dict[str, Any]]:
-        """Every failed episode: its number, its start, what ended it and when."""
+        """Return the number, the initial pose, the end and the duration of every failed episode."""
         failed = self.records[~self.records.success]
         columns = (failed.number, failed.variant, failed.start, failed.board_fixed, failed.end, failed.duration)
         return [
@@ -104,17 +108,17 @@ class Evaluation:
             | {
                 "start": dict(zip(("x", "y", "yaw"), (round(value, 4) for value in start), strict=True)),
                 "board_fixed": fixed,
-                "ended_by": self.ends[end],
+                "ended_by": self.end_names[end],
                 "ended_after": round(duration, 4),
             }
             for number, variant, start, fixed, end, duration in zip(*(c.tolist() for c in columns), strict=True)
         ]
 
     def to_dict(self, failed_episodes: bool = True) -> dict[str, Any]:
-        """The results as plain values for JSON.
+        """Return the results as plain values for JSON.
 
         Args:
-            failed_episodes: Whether to list them, which may be long.
+            failed_episodes: Include the list of failed episodes, which may be long.
         """
         result = self._summary()
         if self.variants:
@@ -137,7 +141,7 @@ class Evaluation:
         }
 
     def metrics(self) -> dict[str, float]:
-        """The results under the names that training logs them by."""
+        """Return the results under the names of a training's metrics."""
         metrics = {
             "Evaluation/success": self.success_rate,
             "Evaluation/feet_on_board": self.feet_on_board,
@@ -146,10 +150,6 @@ class Evaluation:
         if median is not None:
             metrics["Evaluation/time_to_mount"] = median
         return metrics
-
-    def table(self) -> str:
-        """The results for a terminal, several lines."""
-        return report.table(self)
 
 
 def _mean(values: Tensor) -> float:

@@ -1,4 +1,4 @@
-"""Which tasks a policy is tried in."""
+"""`EvaluationTask`: a policy and the settings that it is evaluated in, from a suite or from its own training."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from skatemount import config as configuration
 from skatemount.agents.interface import check_interface
@@ -28,20 +29,20 @@ from skatemount.evaluation.results import Evaluation
 from skatemount.utils.errors import ConfigError
 
 _MACHINE = ("engine", "device", "threads", "max_contacts", "max_constraints")
-"""Settings of the physics that do not come from the training."""
+"""Settings of the physics that are the machine's, not the training's."""
 
 
 @dataclass
 class EvaluationTask:
-    """A policy and the test to put it to.
+    """A policy and the task that it is evaluated in.
 
     Attributes:
         agent: The policy.
-        name: Of the suite; of the policy's stage if it is tried in its own task.
-        suite: The suite, none for the policy's own task.
-        configs: The task's configuration by variant; a suite without variants has one, named "".
-        overrides: What the user changed in it.
-        seed: The user's.
+        name: Name of the suite; the policy's stage if it is evaluated in its own task.
+        suite: The suite; None for the policy's own task.
+        configs: Settings of the task by variant. A suite without variants has one, named "".
+        overrides: The user's overrides of the task's settings.
+        seed: The user's seed.
     """
 
     agent: TrainedPolicy
@@ -53,18 +54,18 @@ class EvaluationTask:
 
     @classmethod
     def prepare(cls, config: PolicyConfig, overrides: Sequence[str]) -> list[EvaluationTask]:
-        """Load the policy that the command line names, and work out its tasks.
+        """Load the policy that the command line names, and compose its tasks.
 
         Args:
-            config: As composed from the command line; its ``checkpoint``, or ``pipeline`` and ``switch_distance``,
-                ``suite``, ``seed`` and ``logger.root`` count.
-            overrides: What the user asked for; see `evaluation_config`.
+            config: Settings composed from the command line. Used are ``checkpoint``, or ``pipeline`` and
+                ``switch_distance``, ``suite``, ``seed`` and ``logger.root``.
+            overrides: The user's overrides; see `evaluation_config`.
 
         Returns:
-            One trial for each suite.
+            A task for each suite.
 
         Raises:
-            ConfigError: No such policy, suite or setting.
+            ConfigError: There is no such policy, suite or setting.
         """
         if config.pipeline is None:
             agent = TrainedPolicy.load(config.checkpoint, config.logger.root)
@@ -82,16 +83,16 @@ class EvaluationTask:
         overrides: Sequence[str] = (),
         seed: int = 0,
     ) -> EvaluationTask:
-        """Work out the tasks of one suite.
+        """Compose the task of one suite.
 
         Args:
             agent: The policy.
-            suite: A suite with a stage; none for the policy's own task.
-            overrides: What the user changes in the task; see `evaluation_config`.
-            seed: The user's.
+            suite: A suite with a stage; None for the policy's own task.
+            overrides: The user's overrides of the task's settings; see `evaluation_config`.
+            seed: The user's seed.
 
         Raises:
-            ConfigError: No such setting.
+            ConfigError: There is no such setting.
         """
         variants = suite.variants if suite is not None and suite.variants else {"": []}
         configs = {
@@ -103,29 +104,28 @@ class EvaluationTask:
 
     @property
     def file_stem(self) -> str:
-        """What files about it are called."""
+        """Name of its files, without extension."""
         return f"{self.agent.name.replace('/', '_')}_{self.name}_seed{self.seed}"
 
     def variant_of(self, episode: int) -> tuple[str, int]:
-        """Where an episode belongs: variants take turns, so that its number does not depend on how many there are.
+        """Return the variant of an episode, and the episode's number within the variant.
+
+        Variants take turns, so the variant does not depend on the number of episodes.
 
         Args:
-            episode: Its number in the trial, from 0.
-
-        Returns:
-            The variant, and the episode's number among those of the variant.
+            episode: Number of the episode in the evaluation, from 0.
         """
         index, turn = episode % len(self.configs), episode // len(self.configs)
         return list(self.configs)[index], turn
 
     def numbered(self, variant: str, records: EpisodeRecords) -> EpisodeRecords:
-        """Episodes of a variant with their numbers in the trial; the reverse of `variant_of`."""
+        """Return the records of a variant with their numbers in the evaluation; the reverse of `variant_of`."""
         index = list(self.configs).index(variant)
         number = records.number * len(self.configs) + index
         return replace(records, number=number, variant=torch.full_like(number, index))
 
     def evaluator(self, variant: str) -> Evaluator:
-        """What plays the episodes of a variant; to be closed. The policy is moved to where they are played.
+        """Return the evaluator of a variant, and move the policy to its device. The caller closes the evaluator.
 
         Raises:
             ConfigError: The policy does not fit the task.
@@ -143,17 +143,17 @@ class EvaluationTask:
         return evaluator
 
     def evaluate(self, episodes: int, progress: Callable[[float, str], None] | None = None) -> Evaluation:
-        """Put the policy to the test.
+        """Evaluate the policy.
 
         Args:
-            episodes: How many, of all variants together; they take turns.
-            progress: Called with the share that is done, 0 to 1, and the variant.
+            episodes: Number of episodes of all variants together.
+            progress: Called with the share of the work that is done, 0 to 1, and the variant.
 
         Returns:
-            The results, with everything that repeating them takes.
+            The results, with all that is needed to repeat them.
 
         Raises:
-            ConfigError: Fewer than 1 episode, or the policy does not fit the task.
+            ConfigError: ``episodes`` is below 1, or the policy does not fit the task.
         """
         variants = list(self.configs)
         parts: list[Evaluation] = []
@@ -175,13 +175,13 @@ class EvaluationTask:
         records = EpisodeRecords.cat([part.records for part in parts])
         return Evaluation(
             records=records[records.number.argsort()],
-            ends=parts[0].ends,
+            end_names=parts[0].end_names,
             variants=variants if len(variants) > 1 else [],
             evaluated=self.describe() | parts[0].evaluated,
         )
 
     def record_command(self, episode: int) -> str:
-        """The command that films an episode exactly as it was evaluated."""
+        """Return the command that films an episode exactly as it was evaluated."""
         words = ["python", "-m", "skatemount.record", *self.agent.settings]
         if self.suite is not None:
             words.append(f"suite={self.suite.name}")
@@ -190,7 +190,7 @@ class EvaluationTask:
         return shlex.join([*words, *self.overrides, f"episode={episode}"])
 
     def describe(self) -> dict[str, Any]:
-        """What is tried, as plain values: all that repeating it takes."""
+        """Return policy, suite, overrides and seed as plain values: all that is needed to repeat the evaluation."""
         card = self.agent.card
         return {
             "checkpoint": self.agent.name,
@@ -206,64 +206,68 @@ class EvaluationTask:
 
 
 def load_suite(name: str) -> SuiteConfig:
-    """A suite by its name.
+    """Read a suite from its file.
 
     Raises:
-        ConfigError: There is none; the line says which there are.
+        ConfigError: There is no such suite, and the message lists those that there are; or its file is not valid.
     """
-    found = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(SuiteConfig), load_file("suite", name)))
+    schema = OmegaConf.structured(SuiteConfig)
+    try:
+        found = OmegaConf.to_object(OmegaConf.merge(schema, load_file("suite", name)))
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"suite {name}: {configuration.one_line(error)}") from error
     assert isinstance(found, SuiteConfig)
     found.validate()
     return found
 
 
 def members_of(suite_config: SuiteConfig) -> list[SuiteConfig]:
-    """The suite itself, or the suites that it is made of.
+    """Return the members of a suite of suites, or the suite itself if it has none.
 
     Raises:
-        ConfigError: A member that does not exist, or that is made of others itself.
+        ConfigError: A member does not exist, or has members itself.
     """
     if not suite_config.members:
         return [suite_config]
     members = [load_suite(name) for name in suite_config.members]
     for each in members:
         if each.members:
-            raise ConfigError(f"suite {suite_config.name}: {each.name} is made of other suites itself; name those")
+            raise ConfigError(
+                f"suite.members={suite_config.members}: {each.name} has members itself; list those in its place"
+            )
     return members
 
 
 def evaluation_config(
     policy: Config, suite: SuiteConfig | None, overrides: Sequence[str] = (), variant: Sequence[str] = ()
 ) -> Config:
-    """The configuration that a policy is tried in.
+    """Compose the settings that a policy is evaluated in.
 
-    1. Without a suite it is the one that the policy was trained in. With one it is that of the suite's stage, but what
-       belongs to the policy stays as in its training: robot, observation, network, control rate (``physics.timestep``
-       and ``physics.substeps``), and, where a board is to be mounted, ``command`` if it was switched off there.
-    2. Engine, device, its memory, threads and number of worlds belong to the machine that evaluates: the defaults of
-       here, not of the training.
-    3. On top of both comes what the suite, the variant and the user ask for, setting by setting: ``start.x=[0,1]``
-       changes that value alone, and ``board=longboard`` the whole group, as it is composed in that stage. The user has
-       the last word.
+    1. Without a suite they are those of the policy's training. With a suite they are those of the suite's stage, except
+       for what belongs to the policy: robot, observation, network, control rate (``physics.timestep`` and
+       ``physics.substeps``), and, in a mounting task, ``command`` if the policy was trained without commands.
+    2. Engine, device, engine memory, threads and number of worlds are this machine's defaults, not the training's.
+    3. The overrides of the suite, the variant and the user come last, one setting at a time: ``start.x=[0,1]`` changes
+       that value only, ``board=longboard`` changes the whole group. The user's overrides win.
 
     Args:
-        policy: The policy's own configuration.
-        suite: A suite with a stage, or none.
-        overrides: The user's, in Hydra's syntax, without the verbs' own settings.
+        policy: Settings of the policy's training.
+        suite: A suite with a stage, or None.
+        overrides: The user's overrides in Hydra's syntax, without settings of the command itself.
         variant: Overrides of a variant of the suite.
 
     Returns:
-        A configuration of its own.
+        New settings; ``policy`` is not changed.
 
     Raises:
-        ConfigError: An unknown setting, or an override that stands for more than one group.
+        ConfigError: A setting is unknown, or an override would replace the policy's stage or experiment.
     """
     for override in overrides:
         if (key := _key(override)) in ("stage", "experiment"):
             instead = "suite=<name>" if key == "stage" else "the settings themselves"
-            raise ConfigError(f"{override}: a policy brings its own {key}; give {instead} instead")
+            raise ConfigError(f"{override}: a policy has its own {key}; give {instead} instead")
     stage = policy.stage.name if suite is None else suite.stage
-    # A policy may come from a stage that is not there any more.
+    # The policy's stage may not exist in this version.
     known = suite is not None or stage in configuration.stages()
     changes = [] if suite is None else [*suite.overrides, *variant]
     theirs = {_key(o) for o in overrides}
@@ -285,17 +289,17 @@ def evaluation_config(
 
 @functools.lru_cache
 def _stage(name: str) -> Config:
-    """A stage's settings; composing them takes a while, and many suites share a stage."""
+    """Compose a stage's settings; cached, because it is slow and many suites share a stage."""
     return configuration.compose(name)
 
 
 def _key(override: str) -> str:
-    """The setting or group that an override is about."""
+    """Return the setting or group that an override changes."""
     return OverridesParser.create().parse_override(override).key_or_group
 
 
 def _copy(path: list[str], source: dict[str, Any], target: dict[str, Any]) -> None:
-    """Make one entry of the target the source's, or delete it if the source has none."""
+    """Copy one entry from source to target, or delete it if the source has none."""
     *parents, last = path
     for name in parents:
         source, target = source.get(name, {}), target.setdefault(name, {})

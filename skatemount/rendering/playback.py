@@ -194,7 +194,7 @@ def _episode(evaluator: Evaluator, record: EpisodeRecords, frames: list[Frame]) 
     summary = _summary(evaluator, record, frames[-1])
     succeeded = bool(record.success)
     frames[-1].succeeded = succeeded
-    frames[-1].outcome = "success" if succeeded else f"failed: {in_words(evaluator.ends[int(record.end)])}"
+    frames[-1].outcome = "success" if succeeded else f"failed: {in_words(evaluator.end_names[int(record.end)])}"
     return Episode(
         number=int(record.number),
         frames=frames,
@@ -239,7 +239,7 @@ def _summary(evaluator: Evaluator, record: EpisodeRecords, last: Frame) -> str:
     if record.success:
         time = float(record.mount_time)
         return "succeeded" + (f", mounted {time:.2f} s after the first foot touched the board" if time >= 0 else "")
-    end = in_words(evaluator.ends[int(record.end)])
+    end = in_words(evaluator.end_names[int(record.end)])
     if record.end:
         return f"failed, ended after {last.time:.2f} s by {end}"
     feet = f", {sum(last.on_deck)} feet on the board" if evaluator.config.success == "mount" else ""

@@ -18,6 +18,7 @@ import yaml
 from skatemount import config as configuration
 from skatemount.config import Config
 from skatemount.curriculum.config import StageLink
+from skatemount.evaluation import report
 from skatemount.runs import atomic
 from skatemount.runs.checkpoint import load_training_state, read_card
 from skatemount.runs.find import find_checkpoint
@@ -215,7 +216,7 @@ class Chain:
                 "episodes": result.episodes,
                 **result.to_dict(failed_episodes=False)["success"],
             }
-            print(result.table(), flush=True)
+            print(report.table(result), flush=True)
         self.report()
 
     def _start(self, place: int) -> str | None:

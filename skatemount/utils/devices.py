@@ -1,4 +1,4 @@
-"""What is computed where: devices, and how many of torch's threads."""
+"""Devices, clocks, threads and random states of torch."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from skatemount.utils.errors import ConfigError
 
 
 def choose_device(name: str) -> torch.device:
-    """The device that a setting names.
+    """Return the device that ``physics.device`` names.
 
     Args:
-        name: ``auto`` (a GPU if there is one, else the CPU), or torch's name of it.
+        name: ``auto`` (a GPU if there is one, else the CPU), or torch's name of a device.
 
     Raises:
         ConfigError: There is no such device.
@@ -33,7 +33,7 @@ def choose_device(name: str) -> torch.device:
 
 
 def seconds(device: torch.device) -> float:
-    """A steady clock, read when the device has done all that it was given, s."""
+    """Return the time of a steady clock after the device has finished its work, s."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return time.perf_counter()
@@ -41,7 +41,7 @@ def seconds(device: torch.device) -> float:
 
 @contextlib.contextmanager
 def torch_threads(number: int | None) -> Iterator[None]:
-    """Use so many of torch's threads for a while; as many as before if none."""
+    """Set torch's number of threads for a ``with`` block; None leaves it unchanged."""
     before = torch.get_num_threads()
     if number is None or number == before:
         yield
@@ -54,12 +54,12 @@ def torch_threads(number: int | None) -> Iterator[None]:
 
 
 def rng_state(device: torch.device) -> Tensor:
-    """State of torch's own generator on a device, from which exploration draws."""
+    """Return the state of torch's default generator on a device, the source of exploration noise."""
     return torch.cuda.get_rng_state(device) if device.type == "cuda" else torch.get_rng_state()
 
 
 def set_rng_state(state: Tensor, device: torch.device) -> None:
-    """Restore what `rng_state` returned."""
+    """Restore a state that `rng_state` returned."""
     if device.type == "cuda":
         torch.cuda.set_rng_state(state, device)
     else:

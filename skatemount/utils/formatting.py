@@ -1,4 +1,4 @@
-"""Numbers and times as text."""
+"""Counts and durations as text."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 
 def format_count(value: float) -> str:
-    """Shortens a count: 950, 15.2k, 1.20M, 3.00G."""
+    """Return a count in short form, such as 950, 15.2k, 1.20M or 3.00G."""
     for size, letter, digits in ((1e9, "G", 2), (1e6, "M", 2), (1e3, "k", 1)):
         if abs(value) >= size:
             return f"{value / size:.{digits}f}{letter}"
@@ -14,7 +14,7 @@ def format_count(value: float) -> str:
 
 
 def format_duration(seconds: float) -> str:
-    """Formats a time in seconds as m:ss or h:mm:ss."""
+    """Return a time in seconds as m:ss or h:mm:ss, or ``-`` if it is not finite."""
     if not math.isfinite(seconds):
         return "-"
     minutes, s = divmod(int(seconds), 60)

@@ -1,4 +1,4 @@
-"""Warnings of libraries that concern their own insides."""
+"""Warnings of libraries that a user can do nothing about."""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
-"""Tables for a terminal, a file or a pipe alike."""
+"""Tables as plain text, the same in a terminal, a file and a pipe."""
 
 from __future__ import annotations
+
+import io
 
 from rich import box
 from rich.console import Console
@@ -8,7 +10,7 @@ from rich.table import Table
 
 
 def new_table(*columns: str) -> Table:
-    """An empty table with these headings; `Table.add_row` fills it."""
+    """Return an empty table with these headings; `Table.add_row` fills it."""
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for name in columns:
         made.add_column(name, no_wrap=True)
@@ -16,10 +18,10 @@ def new_table(*columns: str) -> Table:
 
 
 def rendered(made: Table) -> str:
-    """A table as lines of text, without colours or spaces at their ends."""
-    # Wide enough for any row: a pipe has no width, and a command or a number must not be cut.
-    console = Console(width=160, no_color=True)
-    with console.capture() as captured:
-        console.print(made)
-    lines = [line.rstrip() for line in captured.get().splitlines()]
+    """Return a table as lines of text, without colors and without spaces at the end of a line."""
+    # Wide enough for any row: a pipe has no width, and neither commands nor numbers may be cut.
+    text = io.StringIO()
+    console = Console(file=text, width=160, no_color=True)
+    console.print(made)
+    lines = [line.rstrip() for line in text.getvalue().splitlines()]
     return "\n".join(lines).strip("\n")

@@ -55,8 +55,8 @@ def test_the_nearer_the_board_the_later_policy(make_env) -> None:
     seen = env.reset()
     size = seen["observation"].shape[1]
     walk, mount = Always(1.0, 5), Always(2.0, size)
-    relay = SwitchingPolicy(walk, mount, torch.arange(5), switch_distance=0.6)
-    act = relay.actor_in(env)
+    policy = SwitchingPolicy(walk, mount, torch.arange(5), switch_distance=0.6)
+    act = policy.actor_in(env)
 
     def acting(*distances: float) -> list[float]:
         env.episode.distance = torch.tensor(distances)
@@ -68,7 +68,7 @@ def test_the_nearer_the_board_the_later_policy(make_env) -> None:
     assert acting(between, between, between, between) == [1, 1, 2, 2]
     assert acting(0.5, 2.0, 2.0, 0.3) == [2, 1, 1, 2]
     # Each evaluation round begins anew.
-    act = relay.actor_in(env)
+    act = policy.actor_in(env)
     assert acting(between, between, between, between) == [1, 1, 1, 1]
 
 
@@ -121,7 +121,7 @@ def test_mistakes_are_one_line(spec: str, said: str) -> None:
 
 
 def test_the_walking_policy_must_not_see_more(folder: Path) -> None:
-    with pytest.raises(ConfigError, match=r"it sees observation.command \(size=3.*blind.safetensors gives nothing"):
+    with pytest.raises(ConfigError, match=r"it reads observation.command \(size=3.*blind.safetensors gives nothing"):
         SwitchingAgent.load_pair(pair(folder, "walk", "blind"), 0.6)
 
 

@@ -11,14 +11,14 @@ from torch import Tensor
 
 from skatemount.envs.mdp import StepResult
 from skatemount.envs.state import EpisodeState
-from skatemount.evaluation.records import EpisodeRecords, Recorder, power, sliding
+from skatemount.evaluation.records import EpisodeRecords, EpisodeTracker, power, sliding
 
 STEP = 0.1
 STEPS = 15  # 1.5 s, of which the last 10 steps count for the feet
 
 
 def sim(foot_speed: list[float], board: float = 0.0, torque: float = 0.0, speed: float = 0.0) -> Any:
-    """What a recorder looks at, of two worlds that are alike."""
+    """State that a tracker reads, of two worlds that are alike."""
     velocity = torch.zeros(2, 4, 3)
     velocity[..., 1] = torch.tensor(foot_speed)
     return SimpleNamespace(
@@ -39,8 +39,8 @@ class Script:
         self.mdp = SimpleNamespace(context=SimpleNamespace(control_step=STEP, episode_steps=STEPS))
         self.episode, self.sim = EpisodeState.zeros(2), sim([0.0] * 4)
         self.episode.start = torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-        self.recorder = Recorder(self)  # type: ignore[arg-type]
-        self.recorder.begin()
+        self.tracker = EpisodeTracker(self)  # type: ignore[arg-type]
+        self.tracker.begin()
 
     def step(self, state: Any, feet: int = 4, ended: int | None = None, failed: bool = False) -> None:
         """World 1 ends by the second termination, or by failed physics, if `ended` is 1; both if it is 2."""
@@ -54,7 +54,7 @@ class Script:
         truncated = (self.episode.step >= STEPS) & ~terminated
         nothing = torch.zeros(2)
         outcome = StepResult(nothing, nothing.unsqueeze(0), ends, terminated, truncated, truncated)
-        self.recorder.add(self.episode, outcome, terminated | truncated)
+        self.tracker.add(self.episode, outcome, terminated | truncated)
 
 
 def test_a_foot_slides_only_while_it_presses_and_is_fast() -> None:
@@ -70,8 +70,8 @@ def test_power_is_that_of_every_joint_whichever_way() -> None:
 def finish(script: Script) -> EpisodeRecords:
     while int(script.episode.step[0]) < STEPS:
         script.step(sim([0.0] * 4))
-    assert script.recorder.finished
-    return script.recorder.records(first=10)
+    assert script.tracker.finished
+    return script.tracker.records(first=10)
 
 
 def test_slips_are_counted_when_they_begin() -> None:
@@ -91,12 +91,12 @@ def test_an_episode_that_has_ended_is_not_looked_at_any_more() -> None:
     script = Script()
     busy = dict(torque=1.0, speed=1.0)
     script.step(sim([0.0] * 4, board=0.1, **busy))
-    assert not script.recorder.finished
+    assert not script.tracker.finished
     script.step(sim([0.0] * 4, board=0.2, **busy), ended=1)
-    assert script.recorder.has_ended(1) and not script.recorder.has_ended(0)
+    assert script.tracker.has_ended(1) and not script.tracker.has_ended(0)
     for _ in range(STEPS - 2):
         script.step(sim([0.5] * 4, board=0.5, **busy), ended=1, failed=True)
-    result = script.recorder.records(first=10)
+    result = script.tracker.records(first=10)
     assert result.number.tolist() == [10, 11]
     assert result.start.tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
     assert result.board_fixed.tolist() == [True, False]
@@ -113,7 +113,7 @@ def test_feet_are_the_mean_of_the_last_second() -> None:
     script = Script()
     for step in range(STEPS):
         script.step(sim([0.0] * 4), feet=4 if step < 5 else 2 if step < 10 else 3)
-    assert script.recorder.records(0).feet.tolist() == [2.5, 2.5]
+    assert script.tracker.records(0).feet.tolist() == [2.5, 2.5]
 
 
 def test_what_a_failed_world_shows_is_not_counted() -> None:
@@ -121,7 +121,7 @@ def test_what_a_failed_world_shows_is_not_counted() -> None:
     script.step(sim([0.0] * 4, board=0.1))
     broken = sim([torch.nan] * 4, board=torch.inf, torque=torch.nan, speed=1.0)
     script.step(broken, ended=1, failed=True)
-    result = script.recorder.records(0)
+    result = script.tracker.records(0)
     assert (int(result.end[1]), float(result.energy[1])) == (3, 0.0)
     assert float(result.displacement[1]) == pytest.approx(0.1)
 

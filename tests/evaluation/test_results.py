@@ -26,7 +26,7 @@ def test_results_as_json_and_as_a_table(make_records: Make) -> None:
     assert (document["slips"], document["energy"], document["feet_on_board"]) == (1.5, 9.5, 1.5)
     assert document["failures"] == {"not_mounted": 15, "tilt": 5}
     assert "failed_episodes" not in result.to_dict(failed_episodes=False) and "variants" not in document
-    text = result.table()
+    text = report.table(result)
     for part in (
         "a/b on far, version 3",
         "0.0% (95 % interval 0.0% to 16.1%)",
@@ -67,15 +67,16 @@ def test_failed_episodes_are_listed_with_their_starts(make_records: Make) -> Non
         "ended_after": 1.24,
     }
     assert (second["episode"], second["ended_by"]) == (3, "not_mounted")
-    text = report.failed_episodes(result, "film 1", most=1)
+    text = report.failed_episodes(result, most=1)
     assert "+0.50 m" in text and "-0.25 m" in text and "+172°" in text and "trunk contact" in text and "odd" in text
-    assert "and 1 more" in text and text.endswith("film one of them: film 1")
-    assert "+0.12 m" not in text
+    assert text.endswith("and 1 more") and "+0.12 m" not in text
+    assert result.first_success() == 0
 
 
 def test_no_failures_are_no_list(make_records: Make) -> None:
     result = Evaluation(make_records(3, success=[1, 1, 1]), ENDS)
-    assert report.failed_episodes(result, "film") == ""
+    assert report.failed_episodes(result) == ""
+    assert Evaluation(make_records(3), ENDS).first_success() is None
     assert (result.failures(), report.failures(result)) == ({}, "none")
 
 
@@ -88,6 +89,15 @@ def test_variants_get_a_row_each_and_the_total_counts_all(make_records: Make) ->
         "odd": pytest.approx(1 / 3),
     }
     assert document["success"]["rate"] == pytest.approx(4 / 6)
-    lines = {line.split("  ")[0].strip(): line for line in result.table().splitlines() if line.strip()}
+    lines = {line.split("  ")[0].strip(): line for line in report.table(result).splitlines() if line.strip()}
     assert "100.0%" in lines["usual"] and "33.3%" in lines["odd"] and "66.7%" in lines["all of them"]
     assert "of 3" in lines["odd"]
+
+
+def test_next_commands_are_a_line_each_with_their_purpose() -> None:
+    text = report.next_commands({"film a failure": "record episode=3", "film the first success": "record episode=0"})
+    assert text.splitlines() == [
+        "film a failure:         record episode=3",
+        "film the first success: record episode=0",
+    ]
+    assert report.next_commands({}) == ""

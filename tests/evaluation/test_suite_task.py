@@ -104,7 +104,7 @@ def test_the_policys_configuration_is_left_alone(policy: Config) -> None:
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("+stage=mount", "+stage=mount: a policy brings its own stage; give suite=<name>"),
+        ("+stage=mount", "+stage=mount: a policy has its own stage; give suite=<name>"),
         ("+experiment=paper", "give the settings themselves"),
         ("start.z=[0,1]", "start.z"),
         ("start.x=[1,0]", "start.x"),

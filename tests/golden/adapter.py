@@ -48,7 +48,7 @@ def compiled_model(line: str) -> mujoco.MjModel:
 def episodes(suite: str, count: int) -> tuple[dict[str, np.ndarray], list[str]]:
     """Return the records of a suite's first episodes with `pretrained:best`, and the names of their ends."""
     result = EvaluationTask.of(TrainedPolicy.load("pretrained:best"), load_suite(suite)).evaluate(count)
-    return {name: value.numpy() for name, value in vars(result.records).items()}, result.ends
+    return {name: value.numpy() for name, value in vars(result.records).items()}, result.end_names
 
 
 def policy_size(spec: str) -> int:
