@@ -1,20 +1,20 @@
-"""Three ways to learn mounting, from the same seeds with as many steps: success against steps, as table and figure.
+"""Compare three ways to learn mounting, with the same seeds and number of steps, and write a table and a figure.
 
     python benchmarks/compare_curricula.py --frames 4000000 --seeds 0 1 2
 
-* auto: stage unfixed with the automatic reverse curriculum, from nothing;
-* paper: the paper's chain of stages, from gait to unfixed, all within the same number of steps;
-* forward: starts anywhere in a square of 2 x 2 m from nothing, no curriculum, the baseline that the paper reports as
-  failing.
+* auto: stage unfixed with the automatic reverse curriculum, from scratch;
+* paper: the paper's chain of stages, from gait to unfixed, within the same total number of steps;
+* forward: starts anywhere in a square of 2 x 2 m, from scratch and without a curriculum. The paper reports that this
+  baseline fails.
 
-Networks and algorithm are the same for all: those of the automatic curriculum's settings. Checkpoints kept on the way
-are evaluated afterwards on the same suites from the same seeds, beside a fixed board and beside a free one. A last row
-says how the policy of the chain's stage approach, which knows fixed boards alone, does on a free one without training.
+All of them use the network and the algorithm of the automatic curriculum's settings. Intermediate checkpoints are
+evaluated afterwards on the same suites with the same seeds, on a fixed and on a free board. The last row of the table
+is the policy of the chain's stage approach, which was trained on fixed boards only.
 
-Trainings run one after the other. Whatever is finished is not done again: start it anew to go on. Settings after the
-options are for every training, such as `physics.num_worlds=128`. Several processes may share `--out`, each with seeds
-or methods of its own and the same settings, `physics.threads=1 torch_threads=1` among them; started once more with
-all seeds and methods, it makes table and figure.
+Trainings run one after the other. Start the script again to continue; finished work is not repeated. Settings after the
+options apply to every training, such as `physics.num_worlds=128`. Several processes may share `--out`, each with its
+own seeds or methods and the same settings, including `physics.threads=1 torch_threads=1`. A last call with all seeds
+and methods then writes table and figure.
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ from skatemount.evaluation.suite_task import EvaluationTask, load_suite
 from skatemount.runs import atomic
 from skatemount.runs.checkpoint import list_checkpoints, read_card
 from skatemount.runs.folder import RunFolder
-from skatemount.training.plots import COLOURS
 
 METHODS = {
     "auto": ["+stage=unfixed", "+curriculum=auto", "init_from=null"],
@@ -47,15 +46,15 @@ METHODS = {
     "forward": ["+stage=forward", "init_from=null"],
 }
 GATED = {"paper": 20}
-"""Evaluations of a whole training, for the gates of a chain's stages; they are not counted as steps."""
+"""Number of evaluations in a whole training, for the gates of a chain's stages; they do not count as steps."""
 SUITES = ("mount-fixed", "mount-unfixed", "approach-fixed", "approach-unfixed")
 TRANSFER = "paper, end of approach"
-LINES = tuple(zip(COLOURS, ("-", "--", ":")))
-"""Of each method: curves may lie on each other."""
+LINES = (("#1f77b4", "-"), ("#ff7f0e", "--"), ("#2ca02c", ":"))
+"""Color and style of each method's curve, both different, because curves may coincide."""
 
 
 def count_successes(agent: TrainedPolicy, suite: str, episodes: int) -> int:
-    """How many of the suite's episodes a policy succeeds in; every policy meets the same ones."""
+    """Return the number of a suite's episodes in which a policy succeeds; all policies get the same episodes."""
     return EvaluationTask.of(agent, load_suite(suite)).evaluate(episodes).successes
 
 
@@ -64,9 +63,9 @@ class Saved:
     """A checkpoint of a training.
 
     Attributes:
-        folder: The checkpoint.
-        stage: What it was trained in last.
-        frames: Environment steps trained, those of earlier stages included.
+        folder: Folder of the checkpoint.
+        stage: Stage that it was saved in.
+        frames: Number of environment steps trained, including earlier stages.
     """
 
     folder: Path
@@ -75,13 +74,13 @@ class Saved:
 
 
 class Comparison:
-    """The trainings, their checkpoints and what came of them.
+    """The trainings, their checkpoints and their evaluations.
 
     Args:
-        folder: For everything.
-        frames: Steps of each training.
-        points: Checkpoints to evaluate of each, about.
-        overrides: For every training.
+        folder: Folder for everything.
+        frames: Number of environment steps of each training.
+        points: Approximate number of checkpoints to evaluate of each training.
+        overrides: Settings of every training.
     """
 
     def __init__(self, folder: Path, frames: int, points: int, overrides: Sequence[str]):
@@ -94,21 +93,21 @@ class Comparison:
         atomic.write_text(path, json.dumps(plan, indent=2) + "\n")
         self._evaluations = folder / "evaluations.json"
         self.evaluated: dict[str, dict[str, int]] = {}
-        self._look_up()
+        self._read_evaluations()
 
-    def _look_up(self) -> None:
-        """Take over what the file of results knows: another process may evaluate other seeds meanwhile."""
+    def _read_evaluations(self) -> None:
+        """Read the file of evaluations, which other processes may have extended."""
         if self._evaluations.is_file():
             self.evaluated |= json.loads(self._evaluations.read_text())
 
     def run(self, method: str, seed: int) -> RunFolder | None:
-        """The run folder of a training, if it has begun and can go on."""
+        """Return the run folder of a training, or None if there is no checkpoint to continue from."""
         found = sorted((self.folder / "runs" / "compare").glob(f"*_{method}_seed{seed}"))
         runs = [RunFolder(path) for path in found]
         return next((run for run in reversed(runs) if run.latest is not None), None)
 
     def train(self, method: str, seed: int) -> None:
-        """Train, or go on, or do nothing if it is trained already."""
+        """Train, resume, or do nothing if the training is finished."""
         run = self.run(method, seed)
         if run is not None and self.saved(run)[-1].frames >= self.frames:
             return
@@ -120,14 +119,14 @@ class Comparison:
             arguments = [*METHODS[method], *self._overrides, f"seed={seed}", f"total_frames={self.frames}", *name, root]
             arguments += self._logger(method)
         training = subprocess.Popen([sys.executable, "-m", "skatemount.train", *arguments])
-        # It leaves a checkpoint when it is asked to end.
+        # A training that is terminated saves a checkpoint first.
         before = signal.signal(signal.SIGTERM, lambda *_: training.terminate())
         try:
             status = training.wait()
         finally:
             signal.signal(signal.SIGTERM, before)
         if status:
-            sys.exit(f"{method}, seed {seed} ended with status {status}: start again to go on")
+            sys.exit(f"{method}, seed {seed} ended with status {status}; start the script again to continue")
 
     def _logger(self, method: str) -> list[str]:
         config = configuration.compose("forward", self._overrides)
@@ -144,7 +143,7 @@ class Comparison:
         ]
 
     def saved(self, run: RunFolder) -> list[Saved]:
-        """The checkpoints of a training in order, by all the steps that led to them."""
+        """Return the checkpoints of a training, ordered by their number of steps."""
         found, before = [], 0
         for part in run.parts or [run]:
             cards = [(folder, read_card(folder)) for folder in list_checkpoints(part.checkpoints)]
@@ -153,21 +152,21 @@ class Comparison:
         return sorted(found, key=lambda each: each.frames)
 
     def chosen(self, run: RunFolder) -> list[Saved]:
-        """The checkpoints to evaluate: the first at or after each of the points, and the last."""
+        """Return the checkpoints to evaluate: the first one at or after each of the points, and the last one."""
         saved = self.saved(run)
         wanted = [self.frames * (i + 1) / self.points for i in range(self.points)]
         picked = [next((s for s in saved if s.frames >= frames), saved[-1]) for frames in wanted]
         return list({each.folder: each for each in (*picked, saved[-1])}.values())
 
     def evaluate(self, saved: Saved, episodes: int) -> dict[str, float]:
-        """Success rate by suite, from the file of results where it is known."""
+        """Return the success rate by suite; suites in the file of evaluations are not evaluated again."""
         rates, agent = {}, None
         for suite in SUITES:
             key = f"{saved.folder.relative_to(self.folder).as_posix()} {suite}"
             if self.evaluated.get(key, {}).get("episodes") != episodes:
                 agent = agent or TrainedPolicy.load(str(saved.folder))
                 successes = count_successes(agent, suite, episodes)
-                self._look_up()
+                self._read_evaluations()
                 self.evaluated[key] = {"successes": successes, "episodes": episodes}
                 atomic.write_text(self._evaluations, json.dumps(self.evaluated, indent=2) + "\n")
             rates[suite] = self.evaluated[key]["successes"] / episodes
@@ -175,7 +174,7 @@ class Comparison:
 
 
 def _common_settings() -> list[str]:
-    """The automatic curriculum's settings of network and algorithm, so that nothing but the curriculum differs."""
+    """Return the automatic curriculum's settings of network and algorithm, so that only the curriculum differs."""
     settings = OmegaConf.load(configuration.config_dir() / "curriculum" / "auto.yaml")
 
     def flat(prefix: str, values: Any) -> Iterator[str]:
@@ -186,7 +185,7 @@ def _common_settings() -> list[str]:
 
 
 def table(rows: dict[str, dict[str, list[float]]]) -> str:
-    """Success at the end as Markdown: mean over the seeds, lowest to highest in brackets."""
+    """Return the final success rates as Markdown: the mean over the seeds, with the lowest and the highest."""
     lines = [f"| | {' | '.join(SUITES)} |", "|---" * (len(SUITES) + 1) + "|"]
     for name, rates in rows.items():
         cells = [f"{np.mean(r):.3f} ({min(r):.3f}–{max(r):.3f})" if (r := rates[s]) else "–" for s in SUITES]
@@ -195,31 +194,30 @@ def table(rows: dict[str, dict[str, list[float]]]) -> str:
 
 
 def draw(curves: dict[str, list[list[dict[str, Any]]]], frames: int, path: Path) -> None:
-    """Success against steps, a panel a suite: thin lines are seeds, thick ones their mean."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    """Draw success over steps, in a panel per suite, with thin lines for seeds and thick lines for their mean."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import EngFormatter
 
     figure = Figure(figsize=(9.6, 7.2), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
     highest = 0.02
     for axis, suite in zip(panels.flat, SUITES):
-        for (colour, style), (method, seeds) in zip(LINES, curves.items()):
+        for (color, style), (method, seeds) in zip(LINES, curves.items()):
             lines = [([p["frames"] for p in seed], [p["success"][suite] for p in seed]) for seed in seeds if seed]
             if not lines:
                 continue
             for x, y in lines:
-                axis.plot(x, y, color=colour, ls=style, lw=0.8, alpha=0.5)
+                axis.plot(x, y, color=color, ls=style, lw=0.8, alpha=0.5)
                 highest = max(highest, *y)
             grid = np.linspace(max(x[0] for x, _ in lines), min(x[-1] for x, _ in lines), 50)
             mean = np.mean([np.interp(grid, x, y) for x, y in lines], axis=0)
-            axis.plot(grid, mean, color=colour, ls=style, lw=2.4, label=method)
+            axis.plot(grid, mean, color=color, ls=style, lw=2.4, label=method)
         axis.set_title(suite, fontsize=10)
         axis.set_xlim(0, frames)
         axis.xaxis.set_major_formatter(EngFormatter(sep=""))
         axis.grid(alpha=0.25)
-    # Of one scale, which shows what there is: short trainings may be far from 1.
+    # One scale for all panels. It fits the highest curve, because short trainings may stay far below 1.
     panels[0, 0].set_ylim(-0.03 * highest, 1.03 * highest)
     for axis in panels[-1]:
         axis.set_xlabel("environment steps", fontsize=9)
@@ -231,7 +229,7 @@ def draw(curves: dict[str, list[list[dict[str, Any]]]], frames: int, path: Path)
 
 
 def main() -> None:
-    """Train, evaluate, write."""
+    """Train, evaluate, and write table and figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=4_000_000, help="environment steps of each training")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])

@@ -1,15 +1,15 @@
-"""How fast the batched environment is, next to what one would use without it, in one run.
+"""Compare the speed of the batched environment with the usual alternatives, in one run.
 
     python benchmarks/environment_speed.py --worlds 1024 --seconds 8
 
-Prints environment steps a second (one step: one action of one world) and ratios:
+Prints environment steps per second (one step is one action of one world) and ratios:
 
-* MountEnv: `step_and_maybe_reset` with actions at hand;
-* ParallelEnv: TorchRL's, one composer world a process;
-* numpy loop: one composer world a process, no TorchRL at all.
+* MountEnv: `step_and_maybe_reset` with random actions;
+* ParallelEnv: TorchRL's `ParallelEnv` with one composer world per process;
+* numpy loop: one composer world per process, without TorchRL.
 
-The figures are taken in turns, round after round, and all rounds count, so that a machine's slow moments hit all alike.
-How far the environment is from raw physics is for `python -m skatemount.bench` to say.
+They take turns, and all rounds count, so that a slow moment of the machine hits all of them alike. For the distance
+from raw physics, run `python -m skatemount.bench`.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.physics.cpu import available_cores
 
 WARM_UP = 100
-"""Steps until the worlds are out of step with each other."""
+"""Number of steps before timing, so that the worlds' episodes end at different times."""
 
-Rate = Callable[[float], tuple[int, float]]
-"""Works for at least so many seconds: environment steps, and the seconds that they took."""
+Run = Callable[[float], tuple[int, float]]
+"""Steps environments for at least a number of seconds; returns the environment steps and the seconds they took."""
 
 
 class ComposerWorld(EnvBase):
-    """The composer task as a TorchRL environment of one world, the straightforward way."""
+    """The composer task as a TorchRL environment of one world."""
 
     def __init__(self, stage: str, seed: int):
         super().__init__(device=torch.device("cpu"))
@@ -81,8 +81,8 @@ class ComposerWorld(EnvBase):
         pass
 
 
-def mount_env(env: MountEnv, scale: float) -> Rate:
-    """MountEnv with auto-reset."""
+def mount_env(env: MountEnv, scale: float) -> Run:
+    """Return a function that steps a `MountEnv` with auto-reset and random actions of a standard deviation."""
     actions = [scale * torch.randn(env.num_worlds, 12) for _ in range(16)]
 
     def run(seconds: float) -> tuple[int, float]:
@@ -100,8 +100,8 @@ def mount_env(env: MountEnv, scale: float) -> Rate:
     return run
 
 
-def parallel_env(env: ParallelEnv, processes: int, scale: float) -> Rate:
-    """ParallelEnv with auto-reset."""
+def parallel_env(env: ParallelEnv, processes: int, scale: float) -> Run:
+    """Return a function that steps a `ParallelEnv` with auto-reset and random actions of a standard deviation."""
 
     def run(seconds: float) -> tuple[int, float]:
         data, steps, start = env.reset(), 0, time.perf_counter()
@@ -134,10 +134,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--stage", default="balance")
     parser.add_argument("--worlds", type=int, default=1024)
-    parser.add_argument("--seconds", type=float, default=8.0, help="for each figure and round")
+    parser.add_argument("--seconds", type=float, default=8.0, help="least time of each figure and round (default 8)")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument(
-        "--action-scale", type=float, default=0.3, help="of the random actions; 0.3: as early in training, many falls"
+        "--action-scale",
+        type=float,
+        default=0.3,
+        help="standard deviation of the random actions (default 0.3: as early in training, with many falls)",
     )
     parser.add_argument("--json", type=Path, help="file for the figures")
     options = parser.parse_args()
@@ -170,9 +173,7 @@ def main() -> None:
     env.close()
 
     rates = {name: steps / spent for name, (steps, spent) in done.items()}
-    print(
-        f"{options.stage}, {options.worlds} worlds, {cores} cores; environment steps a second, {options.rounds} rounds"
-    )
+    print(f"{options.stage}, {options.worlds} worlds, {cores} cores; environment steps/s, {options.rounds} rounds")
     for name, rate in rates.items():
         print(f"  {name:12s} {rate:10,.0f}   MountEnv is {rates['MountEnv'] / rate:.2f} x this")
     if options.json:

@@ -7,8 +7,7 @@ Every variant updates the default network from the same batch:
 
 * as shipped;
 * torch's ELU in place of `skatemount.models.activations.ELU`;
-* the plain symmetric forward pass, with the weight and its image, in place of the even and odd parts;
-* torch's own gradients of the sum and the difference in place of a custom autograd function.
+* the plain symmetric forward pass, with the weight and its image, in place of the even and odd parts.
 
 Measured is the CPU time of the process on one thread, which other programs on the machine change little. Variants take
 turns, in an order that changes from round to round, so that a slow moment hits all of them alike. Printed are the
@@ -79,18 +78,10 @@ def plain_forward() -> Iterator[None]:
         yield
 
 
-@contextlib.contextmanager
-def torch_sums() -> Iterator[None]:
-    """Let torch differentiate the sum and the difference of the parts."""
-    with mock.patch.object(symmetry, "add_and_subtract", lambda a, b: (a + b, a - b)):
-        yield
-
-
 VARIANTS: dict[str, Callable[[], contextlib.AbstractContextManager[None]]] = {
     SHIPPED: contextlib.nullcontext,
     "torch's ELU": torch_elu,
     "plain symmetric forward": plain_forward,
-    "torch's add and sub": torch_sums,
 }
 
 

@@ -1,16 +1,15 @@
-"""How fast a batch is learnt from, next to rsl_rl's PPO with the same sizes, in one run.
+"""Compare the time of a PPO update with rsl_rl's, for networks of the same sizes, in one run.
 
     pip install --no-deps rsl-rl-lib==5.5.1
     python benchmarks/learner_speed.py --worlds 1024 --steps 24
 
-One update is: advantages from stored rewards, then epochs x minibatches of PPO on an asymmetric actor and critic whose
-inputs are normalised. Ours also computes the values of all states in it, which rsl_rl does while it collects; so the
-comparison is in rsl_rl's favour, and so it is where freed memory is kept, which rsl_rl does not do by itself. Both get
-the same batch, sizes of networks, number of threads and of updates. Ours are symmetric by default, which rsl_rl's
-networks cannot be; plain ones are measured besides.
+One update computes advantages from stored rewards, then takes epochs x minibatches gradient steps of PPO on an
+asymmetric actor and critic with normalized inputs. Both learners get the same batch, network sizes, number of threads
+and number of gradient steps. Two things favor rsl_rl: our update also computes the values of all states, which rsl_rl
+does while it collects, and the process keeps freed memory, which rsl_rl alone would not do. Our networks are symmetric
+by default, which rsl_rl's networks cannot be, so plain ones are measured as well.
 
-`precision` is of float32 matrix products; rsl_rl leaves torch's "highest", which is also what it is measured with
-besides.
+"medium" and "highest" are torch's precision of float32 matrix products. rsl_rl uses torch's default, "highest".
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
+from learner_parts import random_batch
 from rsl_rl.algorithms import PPO as RslPPO
 from rsl_rl.models import MLPModel
 from rsl_rl.storage import RolloutStorage
@@ -38,31 +38,8 @@ from skatemount.utils.memory import disable_malloc_trim
 ACTIONS = 12
 
 
-def random_batch(mdp: Mdp, worlds: int, steps: int) -> TensorDict:
-    """A batch of a task as TorchRL's collector yields it, of noise."""
-
-    def flags(share: float) -> torch.Tensor:
-        return torch.rand(worlds, steps, 1) < share
-
-    terminated, truncated = flags(0.01), flags(0.005)
-    states = {
-        "observation": torch.randn(worlds, steps, mdp.observation.size),
-        "privileged": torch.randn(worlds, steps, mdp.privileged.size),
-    }
-    following = {
-        key: torch.cat((value[:, 1:], torch.randn(worlds, 1, value.shape[-1])), 1) for key, value in states.items()
-    }
-    following |= {
-        "reward": torch.randn(worlds, steps, 1),
-        "done": terminated | truncated,
-        "terminated": terminated,
-        "truncated": truncated & ~terminated,
-    }
-    return TensorDict(states | {"next": TensorDict(following, [worlds, steps])}, [worlds, steps])
-
-
 def ours(config: Config, mdp: Mdp, batch: TensorDictBase) -> Callable[[], None]:
-    """Our update; its batch as our policy would have acted."""
+    """Return a function that updates our networks from a batch, with actions of these networks."""
     networks = make_networks(config, mdp)
     ppo = PPO(config.algorithm, networks, 0.04, bf16=config.precision == "bf16")
     with torch.no_grad():
@@ -71,17 +48,17 @@ def ours(config: Config, mdp: Mdp, batch: TensorDictBase) -> Callable[[], None]:
 
 
 def theirs(config: Config, batch: TensorDictBase) -> Callable[[], None]:
-    """rsl_rl's update."""
+    """Return a function that updates rsl_rl's networks from a batch."""
     worlds, steps = batch.shape
     algorithm, network = config.algorithm, config.network
-    seen = TensorDict({key: batch[key] for key in ("observation", "privileged")}, [worlds, steps])
+    states = TensorDict({key: batch[key] for key in ("observation", "privileged")}, [worlds, steps])
     groups = {"actor": ["observation"], "critic": ["observation", "privileged"]}
 
     def model(which: str, outputs: int, cells: list[int], distribution: dict | None) -> MLPModel:
-        return MLPModel(seen[:, 0], groups, which, outputs, list(cells), network.activation, True, distribution)
+        return MLPModel(states[:, 0], groups, which, outputs, list(cells), network.activation, True, distribution)
 
     gaussian = {"class_name": "GaussianDistribution", "init_std": network.init_std}
-    storage = RolloutStorage("rl", worlds, steps, seen[:, 0], [ACTIONS])
+    storage = RolloutStorage("rl", worlds, steps, states[:, 0], [ACTIONS])
     ppo = RslPPO(
         model("actor", ACTIONS, network.actor, gaussian),
         model("critic", 1, network.critic, None),
@@ -95,14 +72,14 @@ def theirs(config: Config, batch: TensorDictBase) -> Callable[[], None]:
     following = batch["next"]
     with torch.inference_mode():
         for t in range(steps):
-            ppo.act(seen[:, t])
+            ppo.act(states[:, t])
             extras = {"time_outs": following["truncated"][:, t, 0]}
-            ppo.process_env_step(seen[:, t], following["reward"][:, t, 0], following["done"][:, t, 0], extras)
+            ppo.process_env_step(states[:, t], following["reward"][:, t, 0], following["done"][:, t, 0], extras)
 
     def update() -> None:
-        # What was stored stays when rsl_rl clears its storage, so every update is of the same batch.
+        # Clearing rsl_rl's storage leaves the data in place, so every update uses the same batch.
         with torch.no_grad():
-            ppo.compute_returns(seen[:, -1])
+            ppo.compute_returns(states[:, -1])
         ppo.update()
 
     return update
@@ -115,7 +92,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=24)
     parser.add_argument("--network", default="small", help="a file of conf/network")
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--bf16", action="store_true", help="ours in bfloat16, too: very slow without hardware for it")
+    parser.add_argument("--bf16", action="store_true", help="also ours in bfloat16: very slow without hardware for it")
     parser.add_argument("--json", type=Path, help="file for the figures")
     options = parser.parse_args()
     torch.manual_seed(0)

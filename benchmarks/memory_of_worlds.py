@@ -1,10 +1,10 @@
-"""What memory of its own for every world is worth, in one run: speed of `mujoco.batch` with it and without, and bytes.
+"""Compare `mujoco.batch` with and without engine memory of each world's own, in speed and in bytes, in one run.
 
     python benchmarks/memory_of_worlds.py
 
-With one memory for each thread, a world's step begins by working out its positions and velocities anew; with one for
-each world, it goes on from those that the last step ended with. Both step the same states of a policy with the same
-targets, in turns, and must come to the same ones bit for bit. All rounds count but the first, which warms up.
+With one engine memory per thread, every step first recomputes the positions and velocities of its world. With one per
+world, it continues from those of the last step. Both step the same states of a policy with the same targets, in turns,
+and must reach the same states bit for bit. All rounds count, except for the first, which warms up.
 """
 
 from __future__ import annotations
@@ -32,7 +32,16 @@ STAGE = mujoco.mjtStage.mjSTAGE_VEL.value
 
 
 def trajectory(policy: str, worlds: int) -> tuple[mujoco.MjModel, np.ndarray, list[np.ndarray], np.ndarray, int]:
-    """The model, a state of every world, the targets of the control steps after it, their actuators, and substeps."""
+    """Return what a policy's rollout needs to be stepped again.
+
+    Args:
+        policy: Name of a shipped policy.
+        worlds: Number of worlds.
+
+    Returns:
+        The model, the state of every world, the targets of the following control steps, the indices of the actuators,
+        and the number of substeps of a control step.
+    """
     agent = TrainedPolicy.load(f"pretrained:{policy}")
     env = MountEnv(MountTask(stage="unfixed"), num_worlds=worlds, random_phase=True)
     data, targets = env.reset(), []
@@ -50,7 +59,7 @@ def trajectory(policy: str, worlds: int) -> tuple[mujoco.MjModel, np.ndarray, li
 
 
 def bytes_per_world(model: mujoco.MjModel, worlds: int, persistent: bool) -> float:
-    """What this process grows by, in a process of its own."""
+    """Return the memory that a world adds to this process, bytes; call in a fresh process."""
     before = _taken()
     batch = Batch(model, worlds, available_cores(), persistent=persistent)
     batch.bind("sensordata")
@@ -88,7 +97,7 @@ def main() -> None:
                     if round_:  # the first warms up
                         took[kept] += time.perf_counter() - begin
         if not np.array_equal(batches[False].state, batches[True].state):
-            raise SystemExit("the two came to different states")
+            raise SystemExit("the two reached different states")
         row = {"worlds": worlds, "speed": took[False] / took[True]}
         row |= {
             f"bytes_per_world_{name}": in_fresh_process(bytes_per_world, model, worlds, kept)

@@ -1,11 +1,11 @@
-"""How well velocities can be told from what a policy sees: from one frame of its observation, and from several.
+"""Measure how well velocities can be inferred from a policy's observation, for different numbers of frames.
 
     python benchmarks/observed_velocity.py checkpoint=pretrained:unfixed --frames 1 2 4
 
-The policy acts in its own task, with noise on what it sees and on what it does. A network as large as the policy's is
-fitted to six worlds of seven: from the last frames it reads the trunk's velocity, the board's relative to the trunk,
-and how fast the board turns, all in the trunk's frame. Printed are the root mean square errors on the other worlds,
-beside the velocities' standard deviations. Steps too near the start of an episode to have as many frames are left out.
+The policy acts in its own task, with noise on observations and actions. A network as large as the policy's is fitted on
+six of seven worlds. From the last frames it predicts the trunk's velocity, the board's velocity relative to the trunk,
+and the board's angular velocity, all in the trunk's frame. Printed are the root mean square errors on the other worlds,
+and the standard deviations of the velocities. Steps that are too early in an episode to have all frames are left out.
 """
 
 from __future__ import annotations
@@ -24,64 +24,78 @@ from skatemount.envs.geometry import rotate_inverse
 from skatemount.models.actor_critic import ACTIVATION_CLASSES
 
 ROWS = ("trunk, m/s", "board less trunk, m/s", "board's turning, rad/s")
-HELD_OUT = 7  # of so many worlds one is not fitted to
+HELD_OUT = 7
+"""One of this many worlds is held out for testing."""
 
 
 @dataclass
 class Experience:
-    """What was seen, and what was to be told from it.
+    """Observations and the velocities to infer from them.
 
     Attributes:
-        seen: ``[N, T, observation]``.
-        velocity: ``[N, T, 9]``: trunk, board less trunk, board's turning, each x, y, z of the trunk's frame.
+        observation: ``[N, T, observation]``.
+        velocity: ``[N, T, 9]``: velocity of the trunk, of the board relative to the trunk, m/s, and angular velocity of
+            the board, rad/s, each as x, y, z in the trunk's frame.
         age: ``[N, T]`` control steps since the start of the episode.
     """
 
-    seen: Tensor
+    observation: Tensor
     velocity: Tensor
     age: Tensor
 
     @classmethod
     def collect(cls, agent: TrainedPolicy, worlds: int, steps: int, seed: int) -> Experience:
-        """Let a policy act as it does in training."""
+        """Roll out a policy as in training, with exploration."""
         torch.manual_seed(seed)
         env = MountEnv(MountTask(config=agent.config), num_worlds=worlds, seed=seed)
         velocities, ages = [], []
 
-        def look() -> None:
+        def note_velocity() -> None:
             sim = env.sim
             board = rotate_inverse(sim.base_rot, torch.stack((sim.board_lin_vel, sim.board_ang_vel), 1))
             velocities.append(torch.cat((sim.base_lin_vel, board[:, 0] - sim.base_lin_vel, board[:, 1]), 1))
             ages.append(env.episode.step)
 
         with torch.no_grad():
-            seen = env.reset()
+            state = env.reset()
             observations = []
             for _ in range(steps):
-                look()
-                observations.append(seen["observation"])
-                _, seen = env.step_and_maybe_reset(agent.networks.actor(seen))
+                note_velocity()
+                observations.append(state["observation"])
+                _, state = env.step_and_maybe_reset(agent.networks.actor(state))
         env.close()
         return cls(torch.stack(observations, 1), torch.stack(velocities, 1), torch.stack(ages, 1))
 
     def frames(self, count: int, most: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Frames to read from, velocities to tell, and which of the rows are of worlds to fit to.
+        """Return stacked frames, velocities, and the rows of the worlds to fit on.
 
         Args:
-            count: Frames.
-            most: Steps that an episode must have lasted, so that every count is tried on the same rows.
+            count: Number of frames.
+            most: Least age of a row in control steps, the same for every count, so that all use the same rows.
+
+        Returns:
+            ``[rows, count * observation]`` frames, ``[rows, 9]`` velocities, and ``[rows]`` bool.
         """
-        steps = self.seen.shape[1]
+        steps = self.observation.shape[1]
         old_enough = self.age[:, most:] >= most
-        stacked = torch.cat([self.seen[:, most - ago : steps - ago] for ago in reversed(range(count))], -1)
-        world = torch.arange(len(self.seen)).unsqueeze(1).expand_as(old_enough)
+        stacked = torch.cat([self.observation[:, most - ago : steps - ago] for ago in reversed(range(count))], -1)
+        world = torch.arange(len(self.observation)).unsqueeze(1).expand_as(old_enough)
         return stacked[old_enough], self.velocity[:, most:][old_enough], world[old_enough] % HELD_OUT > 0
 
 
 def reading_error(
     agent: TrainedPolicy, inputs: Tensor, velocity: Tensor, fitted: Tensor, epochs: int, seed: int
 ) -> Tensor:
-    """Root mean square error of a network, as large as the policy's, that reads velocities, ``[9]``."""
+    """Return the root mean square errors of a fitted network on the held-out rows, ``[9]``.
+
+    Args:
+        agent: The policy, for the size of its network.
+        inputs: ``[rows, features]``.
+        velocity: ``[rows, 9]``.
+        fitted: ``[rows]`` bool, rows to fit on.
+        epochs: Number of passes over these rows.
+        seed: Seed of weights and order.
+    """
     torch.manual_seed(seed)
     inputs = ((inputs - inputs[fitted].mean(0)) / (inputs[fitted].std(0) + 1e-3)).clamp(-10, 10)
     size, network = velocity.std(0), agent.config.network
@@ -103,7 +117,7 @@ def reading_error(
 
 
 def main() -> None:
-    """Collect, fit, print."""
+    """Collect, fit, and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("policy", help="checkpoint=<what skatemount.evaluate takes>; its task must be of one frame")
     parser.add_argument("--frames", type=int, nargs="+", default=[1, 2, 4])
@@ -115,7 +129,9 @@ def main() -> None:
     torch.set_float32_matmul_precision("medium")
     agent = TrainedPolicy.load(options.policy.removeprefix("checkpoint="))
     if agent.config.observation.history_length != 1:
-        sys.exit(f"{options.policy} sees {agent.config.observation.history_length} frames: name one that sees 1")
+        sys.exit(
+            f"{options.policy} observes {agent.config.observation.history_length} frames; name one that observes 1"
+        )
     experience = Experience.collect(agent, options.worlds, options.steps, options.seed)
     most = max(options.frames) - 1
     errors = {}

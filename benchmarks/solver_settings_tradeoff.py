@@ -1,18 +1,18 @@
-"""What cheaper and dearer physics costs and gives: speed, how far a control step goes astray, and success, in one run.
+"""Compare cheaper and more exact physics in speed, in error per control step, and in success, in one run.
 
     python benchmarks/solver_settings_tradeoff.py checkpoint=pretrained:unfixed --episodes 1000
 
-Every variant is the same model with other settings of the solver or of time. All start again and again from the same
-states, those that the policy comes to in its suite, with the same targets:
+Every variant is the same model with other settings of the solver or of the time step. All variants step the same
+states, which the policy reaches in its suite, with the same targets:
 
-* speed: control steps a second of `mujoco.batch` alone, as a multiple of the default's. Variants take turns, and each
+* speed: control steps per second of `mujoco.batch` alone, as a multiple of the default's. Variants take turns, and each
   figure is the best of several rounds;
-* error: how far the feet are, one control step later, from where a solver that converges fully and steps of 1 ms put
-  them, in mm (median, and what 99 of 100 stay within). That model has pyramidal cones, so the error of elliptic ones
-  is another friction's, too. A world that diverges is put back to the model's own start, and its error is that far;
-* success: of the policy under that physics, which it was not trained with, in the suite's episodes.
+* error: distance of the feet, after one control step, from their positions with a fully converged solver and steps of
+  1 ms, in mm (median and 99th percentile). That model has pyramidal cones, so the error of elliptic cones includes the
+  difference of friction. A world that diverges is reset by the engine, so its error is large;
+* success: success rate of the policy in the suite under that physics, which it was not trained with.
 
-Speed and error are those of the nominal model; worlds are randomised where success is counted.
+Speed and error are those of the nominal model. Worlds are randomized for success only.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ WARM_UP, RECORDED, APART = 20, 6, 12
 
 
 class Stepper:
-    """Physics with settings of its own, stepped from given states.
+    """Physics with changed settings, stepped from given states.
 
     Args:
-        config: Of the task.
-        changes: Settings of physics that differ.
-        worlds: How many.
+        config: Settings of the task.
+        changes: Changed settings of physics.
+        worlds: Number of worlds.
     """
 
     def __init__(self, config: Config, changes: dict[str, Any], worlds: int):
@@ -70,13 +70,13 @@ class Stepper:
         self.physics: Physics = make_physics(task.scene, task.config.physics, num_worlds=worlds)
 
     def feet(self, state: Any, targets: torch.Tensor) -> torch.Tensor:
-        """``[N, 4, 3]`` where the feet are one control step after a state, m."""
+        """Return the positions of the feet one control step after a state, ``[N, 4, 3]``, m."""
         self.physics.set_raw_state(state)
         self.physics.step(targets, self._substeps)
         return self.physics.state().foot_pos
 
     def rate(self, states: list[tuple[Any, torch.Tensor]], seconds: float) -> float:
-        """Control steps a second of all worlds; going back to the states is not timed."""
+        """Return the control steps per second of all worlds; setting the states is not timed."""
         spent, steps = 0.0, 0
         while spent < seconds:
             state, targets = states[steps % len(states)]
@@ -89,12 +89,12 @@ class Stepper:
 
 
 def changed(config: Config, changes: dict[str, Any]) -> Config:
-    """A configuration of its own whose physics differs."""
+    """Return a copy of settings with changed physics."""
     return replace(config, physics=replace(config.physics, **changes))
 
 
 def encountered(agent: TrainedPolicy, env: MountEnv) -> list[tuple[Any, torch.Tensor]]:
-    """States that the policy comes to, from walking up to standing, each with the targets that it asks for."""
+    """Return states of the policy's rollout, from walking to standing, each with the targets of its action."""
     found, data = [], env.reset()
     with deterministic():
         for step in range(WARM_UP + RECORDED * APART):
@@ -106,7 +106,7 @@ def encountered(agent: TrainedPolicy, env: MountEnv) -> list[tuple[Any, torch.Te
 
 
 def table(rows: dict[str, dict[str, Any]]) -> str:
-    """The figures as Markdown."""
+    """Return the figures as Markdown."""
     lines = ["| physics | speed | error, median | 99 % within | success | 95 % interval |", "|---|---|---|---|---|---|"]
     for name, row in rows.items():
         low, high = row["interval"]
@@ -138,7 +138,9 @@ def main() -> None:
     config = EvaluationTask.of(agent, suite).configs[""]
     control_step = config.physics.timestep * config.physics.substeps
     if not math.isclose(control_step, CONTROL_STEP):
-        parser.error(f"{agent.name} acts every {control_step:g} s: the variants are those of {CONTROL_STEP} s")
+        parser.error(
+            f"{agent.name} acts every {control_step:g} s; the variants need a policy that acts every {CONTROL_STEP} s"
+        )
     env = MountEnv(MountTask(config=config), num_worlds=options.worlds, seed=1)
     states = encountered(agent, env)
     env.close()
@@ -157,10 +159,10 @@ def main() -> None:
     for name, stepper in steppers.items():
         off = torch.stack([stepper.feet(*each) - where for each, where in zip(states, truth)]).norm(dim=-1)
         stepper.physics.close()
-        # Here the policy's time step gives way to the variant's, so these are no overrides of a trial.
-        trial = EvaluationTask.of(agent, suite)
-        trial.configs = {"": changed(trial.configs[""], VARIANTS[name])}
-        result = trial.evaluate(options.episodes)
+        # Overrides would not do: an evaluation keeps the time step of the policy's training.
+        task = EvaluationTask.of(agent, suite)
+        task.configs = {"": changed(task.configs[""], VARIANTS[name])}
+        result = task.evaluate(options.episodes)
         rows[name] = {
             "speed": best[name] / best["default"],
             "steps_per_s": best[name],

@@ -128,7 +128,7 @@ def main() -> None:
     from skatemount.utils import memory
 
     opengl.disable()
-    # After the choice above: the modules imported here may import dm_control, which looks for a display.
+    # Only now: importing the configuration imports dm_control, which looks for a display otherwise.
     with memory.lasting_objects():
         from skatemount import cli
 

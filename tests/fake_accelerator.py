@@ -1,7 +1,7 @@
-"""A device called ``far``: it computes on the CPU, and refuses tensors that are not on it, as a GPU does.
+"""A device called ``far`` that computes on the CPU and, like a GPU, refuses tensors that are not on it.
 
-Run as a program it trains, saves, goes on and evaluates there, with mujoco_warp, and fails where an operation is given
-tensors of both. A program of its own, as torch keeps such a device until the process ends.
+Run as a program, it trains, saves, resumes and evaluates on this device with mujoco_warp, and fails if an operation
+gets tensors of both devices. It needs a process of its own, because torch keeps the device until the process ends.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from torch.utils.backend_registration import _setup_privateuseone_for_python_bac
 
 _aten = torch.ops.aten
 MIXING = (_aten.copy_.default, _aten._to_copy.default)
-"""What takes tensors from one device to another."""
+"""Operations that move tensors between devices."""
 
 
 class _Module:
-    """What torch asks of a device's module."""
+    """The functions that torch calls on a device's module."""
 
     def is_available(self) -> bool:
         return True
@@ -52,7 +52,7 @@ FAR = torch.device("far", 0)
 
 
 class FarTensor(Tensor):
-    """A tensor that says it is on the device, and has its numbers near."""
+    """A tensor that claims to be on the device and keeps its data in a CPU tensor."""
 
     near: Tensor
     __torch_function__ = torch._C._disabled_torch_function_impl
@@ -84,11 +84,11 @@ def _run(func: Any, args: Any, kwargs: Any) -> Any:
     if not is_far and not to_far:
         return func(*args, **kwargs)
     moves = func in MIXING or str(func).startswith("aten.to.")
-    # A number in a tensor may come from anywhere.
+    # Tensors with a single number may be on another device.
     left_behind = [each for each in tensors if not isinstance(each, FarTensor) and each.dim() > 0]
     if is_far and left_behind and not moves:
         shapes = [tuple(each.shape) for each in left_behind]
-        raise RuntimeError(f"{func}: with tensors of the device, it is given some of the CPU: {shapes}")
+        raise RuntimeError(f"{func}: got tensors of the device and of the CPU: {shapes}")
 
     def as_near(value: Any) -> Any:
         if isinstance(value, torch.device):
@@ -115,7 +115,7 @@ class _Operations(TorchDispatchMode):
 
 
 class _Functions(TorchFunctionMode):
-    """What torch makes in C++ without asking the dispatcher."""
+    """Functions that make tensors in C++, past the dispatcher."""
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = dict(kwargs or {})
@@ -129,14 +129,14 @@ class _Functions(TorchFunctionMode):
 
 
 class _Generator(torch.Generator):
-    """A generator that says it is on the device."""
+    """A generator that claims to be on the device."""
 
     device = FAR
 
 
 @contextmanager
 def on_the_fake_accelerator() -> Iterator[None]:
-    """Let torch know the device, and mujoco_warp's memory be on it."""
+    """Use the device in torch, and put mujoco_warp's memory on it, for a ``with`` block."""
     from skatemount.envs.physics import warp
 
     class Worlds(warp._Worlds):
@@ -156,7 +156,7 @@ def on_the_fake_accelerator() -> Iterator[None]:
         "to_torch": lambda array: FarTensor(to_torch(array)),
         "device_from_torch": lambda _: wp.get_device("cpu"),
     }
-    # Inference tensors have no version counter, which such a tensor needs.
+    # Inference tensors lack the version counter that a `FarTensor` needs.
     of_torch = {"Generator": make_generator, "inference_mode": lambda *_: torch.no_grad()}
     with (
         mock.patch.multiple(warp, _Worlds=Worlds, choose_device=lambda name: FAR),
@@ -168,20 +168,20 @@ def on_the_fake_accelerator() -> Iterator[None]:
         yield
 
 
-def refuses_what_is_elsewhere() -> None:
-    """The device is as strict as it is to be."""
+def check_device() -> None:
+    """Check that the device computes, and refuses tensors of the CPU."""
     here, there = torch.ones(2), torch.ones(2, device=FAR)
     assert (there + there.to(FAR) + 1.0).device == FAR and (there + there).to("cpu").tolist() == [2.0, 2.0]
     try:
         here + there
     except RuntimeError as error:
-        assert "some of the CPU: [(2,)]" in str(error)
+        assert "of the CPU: [(2,)]" in str(error)
     else:
         raise AssertionError("tensors of two devices were added")
 
 
 def train(root: str) -> None:
-    """A training with all that has tensors of its own, resume_config, and an evaluation of its policy."""
+    """Train with everything that holds tensors, resume, and evaluate the policy."""
     from tiny import TINY
 
     from skatemount.config import compose
@@ -213,5 +213,5 @@ def train(root: str) -> None:
 
 if __name__ == "__main__":
     with on_the_fake_accelerator():
-        refuses_what_is_elsewhere()
+        check_device()
         train(sys.argv[1])

@@ -1,9 +1,9 @@
-"""Draw the learning curve of a whole training: success and reward against steps and hours, one colour a stage.
+"""Draw the learning curve of a whole training: success and reward over steps and hours, in one color per stage.
 
     python tools/plot_training.py runs/skatemount/2026-..._paper out.png
     python tools/plot_training.py runs/skatemount/2026-..._balance runs/skatemount/2026-..._unfixed out.png
 
-Several runs are drawn one after the other, as they followed one another; a chain of stages is drawn as its stages.
+Several runs are drawn one after the other. A run of a chain of stages is drawn as its stages.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from skatemount.utils.errors import ConfigError
 
 
 def main() -> None:
-    """Collect the runs' tables, then draw."""
+    """Read the metrics of the runs and draw them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("runs", nargs="+", type=Path, help="run folders, in the order of the training")
     parser.add_argument("picture", type=Path, help="PNG to write")
@@ -33,7 +33,7 @@ def main() -> None:
 
 
 def _name(run: RunFolder) -> str:
-    """What a run trains: its stage, and its curriculum if it has one."""
+    """Return the stage of a run, with its curriculum if it has one."""
     config = run.config
     kind = config["curriculum"]["kind"]
     curriculum = {"none": "", "auto": ", automatic curriculum"}.get(kind, f", curriculum {kind}")

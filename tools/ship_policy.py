@@ -1,10 +1,10 @@
-"""Put a trained policy into the package, with what was measured of it on its card.
+"""Put a trained policy into the package, and the results of its evaluations on its card.
 
     python tools/ship_policy.py runs/skatemount/2026-..._balance balance --suites balance-fixed --episodes 2000 \
         --command "make train"
 
-writes `skatemount/policies/balance.safetensors` and `balance.json`. The critic stays with the policy, so that other
-stages can start from it.
+writes `skatemount/policies/balance.safetensors` and `balance.json`. The file includes the critic, so that the training
+of other stages can start from it.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from skatemount.evaluation.suite_task import EvaluationTask, load_suite, members
 from skatemount.runs.checkpoint import save_policy
 
 LOCAL = ("checkpoint", "stage", "frames", "sha256", "record")
-"""What an evaluation notes of its policy: the card says it itself, or it concerns one machine alone."""
+"""Entries of an evaluation that the card has already, or that hold on one machine only."""
 
 
 def main() -> None:
-    """Evaluate, then write."""
+    """Evaluate a policy and write its files."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("checkpoint", help="a run, a checkpoint, a file")
-    parser.add_argument("name", help="of the shipped policy: pretrained:NAME")
-    parser.add_argument("--suites", nargs="+", required=True, help="suites to evaluate in; all for every one")
-    parser.add_argument("--episodes", type=int, default=2000, help="in each suite")
+    parser.add_argument("name", help="name of the shipped policy, pretrained:NAME")
+    parser.add_argument("--suites", nargs="+", required=True, help="suites to evaluate in; all for all of them")
+    parser.add_argument("--episodes", type=int, default=2000, help="episodes in each suite (default 2000)")
     parser.add_argument("--command", required=True, help="the command that trained it")
-    parser.add_argument("--notes", default="", help="anything else that a user should know")
+    parser.add_argument("--notes", default="", help="further notes for users")
     options = parser.parse_args()
     agent = TrainedPolicy.load(options.checkpoint)
     results: dict[str, Evaluation] = {}
@@ -42,7 +42,7 @@ def main() -> None:
         results[suite.name] = result
     card = agent.card
     card.suites = {name: result.to_dict(failed_episodes=False) for name, result in results.items()}
-    # Where runs lay on the machine that trained it concerns nobody else.
+    # Paths of the machine that trained the policy mean nothing elsewhere.
     card.config["logger"]["root"], card.config["resume"] = "runs", None
     card.notes = " ".join(filter(None, (f"Trained by: {options.command}.", options.notes, failure_modes(results))))
     folder = Path(skatemount.__file__).parent / "policies"
@@ -51,7 +51,7 @@ def main() -> None:
 
 
 def failure_modes(results: dict[str, Evaluation]) -> str:
-    """What ended the failed episodes, in a sentence a suite."""
+    """Return the ends of the failed episodes, in a sentence per suite."""
     return " ".join(
         f"Failures in {name}, of {result.episodes} episodes: {report.failures(result)}."
         for name, result in results.items()

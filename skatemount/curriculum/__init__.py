@@ -1,1 +1,1 @@
-"""What the robot practises next."""
+"""Curricula: which initial states are practiced, and when."""

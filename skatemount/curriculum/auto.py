@@ -1,8 +1,8 @@
-"""The automatic reverse curriculum: a grid of start bins that opens outwards from the goal.
+"""The automatic reverse curriculum: a grid of bins of initial states that opens outwards from the goal.
 
-After Florensa et al., "Reverse Curriculum Generation for Reinforcement Learning" (2017): practise where success is
-neither rare nor sure, go on practising what is solved, and step outwards from there. Bins instead of sampled states
-keep an estimate of success that can be looked at.
+Follows Florensa et al., "Reverse Curriculum Generation for Reinforcement Learning" (2017): practice where success is
+neither rare nor certain, keep practicing what is solved, and expand outwards from there. Bins replace the paper's
+sampled states, so that the estimate of success can be plotted.
 """
 
 from __future__ import annotations
@@ -26,17 +26,18 @@ AXES = ("distance", "bearing", "heading", "height", "free")
 
 
 class AutoCurriculum:
-    """Chooses the bins that starts are drawn from, and learns from how the episodes ended.
+    """A curriculum that samples initial states from a grid of bins, and opens bins next to solved ones.
 
-    Bins are indexed ``[distance, bearing, heading, height, free]`` (`AXES`), flattened.
+    Bins are the flattened grid ``[distance, bearing, heading, height, free]`` (`AXES`).
 
     Args:
         config: The grid and the thresholds.
-        deck_height: The board's own step height, m.
+        deck_height: Height of the board's deck at rest, m.
 
     Attributes:
-        episodes: ``[bins]`` recent episodes.
-        successes: ``[bins]`` recent soft successes.
+        shape: Number of bins along each axis.
+        episodes: ``[bins]`` number of recent episodes.
+        successes: ``[bins]`` number of recent soft successes.
         opened: ``[bins]`` bool.
     """
 
@@ -44,8 +45,8 @@ class AutoCurriculum:
         config.validate()
         if max(config.heights[:-1], default=0.0) > deck_height:
             raise ConfigError(
-                f"curriculum.heights={config.heights}: all but the last one, which stands for the board's own, must be "
-                f"at most its deck's height, {deck_height:g} m"
+                f"curriculum.heights={config.heights}: all but the last must be at most the deck's height, "
+                f"{deck_height:g} m (the last bin is always the board's own height)"
             )
         self.config = config
         self._deck_height = deck_height
@@ -57,11 +58,14 @@ class AutoCurriculum:
         self.opened.view(self.shape)[0, :, 0, 0, 0] = True
 
     def sample_poses(self, n: int, generator: torch.Generator) -> StartPoses:
-        """Draw bins, and a place within each.
+        """Draw bins by their weights, and a pose within each.
 
         Args:
-            n: How many.
+            n: Number of poses.
             generator: Source of randomness.
+
+        Returns:
+            ``[n]`` poses.
         """
         bins = torch.multinomial(self.weights(), n, replacement=True, generator=generator)
         ring, bearing, heading, height, free = torch.unravel_index(bins, self.shape)
@@ -77,7 +81,7 @@ class AutoCurriculum:
         reach, direction = within(c.distances, ring), torch.deg2rad(within(c.bearings, bearing))
         xy = torch.stack((reach * direction.cos() * sign(), reach * direction.sin() * sign()), 1)
 
-        # A board has no front: half of the starts face the other way.
+        # A board has no front, so half of the robots face the other way.
         yaw = torch.deg2rad(within(c.headings, heading)) * sign() + math.pi * (sign() > 0)
         step = within(c.heights, height, c.min_height)
         step = torch.where(height == len(c.heights) - 1, self._deck_height, step)
@@ -87,53 +91,53 @@ class AutoCurriculum:
         )
 
     def rates(self) -> Tensor:
-        """Estimated success of each bin, ``[bins]``; a half where nothing is known."""
+        """Return the estimated success rate of each bin, ``[bins]``; 0.5 where nothing is known."""
         return (self.successes + 1) / (self.episodes + 2)
 
     def weights(self) -> Tensor:
-        """How often each bin is drawn, ``[bins]``, summing to 1."""
+        """Return the probability that a start is drawn from each bin, ``[bins]``."""
         rate, useful = self.rates(), self.opened & ~self._outgrown()
         if self._uses_stage_ranges() and self.config.stage_range_from is not None:
             inside = torch.tensor(self.config.distances, device=useful.device) <= self.config.stage_range_from
             useful = (useful.view(self.shape) & inside.view(-1, 1, 1, 1, 1)).flatten()
-        # A bin that has just opened is rarely solved, and is what has to be learnt; once it is solved, a lower step
-        # than the board's own has opened what it could, and so has a fixed board where the free one is solved.
-        left = (4 * rate * (1 - rate)).view(self.shape).clone()
-        left[..., :-1, :] = 0.0
+        # Unsolved open bins get full weight. Solved bins keep a weight by the variance of success, but only at the
+        # board's own height, and fixed-board bins only until the same bin with a free board is solved.
+        solved_weight = (4 * rate * (1 - rate)).view(self.shape).clone()
+        solved_weight[..., :-1, :] = 0.0
         if self.config.free_board_after is not None:
-            left[..., 0].masked_fill_(self.solved().view(self.shape)[..., 1], 0.0)
-        learning = torch.where(self.solved(), left.flatten().clamp(min=0.05), 1.0) * useful
-        alike = useful.to(rate.dtype)
+            solved_weight[..., 0].masked_fill_(self.solved().view(self.shape)[..., 1], 0.0)
+        learning = torch.where(self.solved(), solved_weight.flatten().clamp(min=0.05), 1.0) * useful
+        uniform_weight = useful.to(rate.dtype)
         replay = self.config.replay_fraction
-        return (1 - replay) * learning / learning.sum() + replay * alike / alike.sum()
+        return (1 - replay) * learning / learning.sum() + replay * uniform_weight / uniform_weight.sum()
 
     def _uses_stage_ranges(self) -> bool:
-        """Whether a part of the starts is drawn from the stage's own ranges by now."""
+        """Return True if a share of the starts is drawn from the stage's own ranges, which needs all bins open."""
         return self.config.stage_range_fraction > 0 and bool(self.opened.all())
 
     def _outgrown(self) -> Tensor:
-        """Which bins with a lower step have nothing left to teach: the board's own height is solved there."""
+        """Return the bins with a lower step whose bin at the board's own height is solved, ``[bins]`` bool."""
         grown = self.solved().view(self.shape)[..., -1:, :].expand(self.shape).clone()
         grown[..., -1, :] = False
         return grown.flatten()
 
     def observe_step(self, episode: EpisodeState, outcome: StepResult, done: Tensor) -> None:
-        """Learn from the episodes that ended in a step.
+        """Count the episodes that ended in a step.
 
         Args:
-            episode: The episodes.
-            outcome: What the step led to.
-            done: ``[N]`` bool.
+            episode: ``[N]`` episodes after the step.
+            outcome: Result of the step.
+            done: ``[N]`` bool, episodes that ended.
         """
         ended = (done & (episode.bin >= 0)).to(torch.float32)
         good = ended * (outcome.truncated & (episode.soft_success > self.config.success_threshold))
-        # Every world takes part, with 0 where no episode of a bin ended: shapes do not depend on what happened.
+        # Worlds without an ended episode add 0, so shapes do not depend on the data.
         bins = episode.bin.clamp(min=0)
         self.episodes.index_add_(0, bins, ended)
         self.successes.index_add_(0, bins, good)
 
     def update(self) -> None:
-        """Forget what is long ago, and open bins next to solved ones."""
+        """Limit the counts to the window of recent episodes, and open bins next to solved ones."""
         fade = (self.config.window / self.episodes.clamp(min=1e-6)).clamp(max=1.0)
         self.episodes *= fade
         self.successes *= fade
@@ -141,8 +145,8 @@ class AutoCurriculum:
         opened = self.opened.view(self.shape)
         for axis in range(len(AXES) - 1):
             steps = self.shape[axis] - 1
-            for onto, seen in ((1, 0), (0, 1)):
-                opened.narrow(axis, onto, steps).logical_or_(solved.narrow(axis, seen, steps))
+            for target, source in ((1, 0), (0, 1)):
+                opened.narrow(axis, target, steps).logical_or_(solved.narrow(axis, source, steps))
         if (free_board_after := self.config.free_board_after) is None:
             return
         ring = next((i for i, d in enumerate(self.config.distances) if d >= free_board_after), -1)
@@ -150,11 +154,11 @@ class AutoCurriculum:
             opened[..., 1] |= solved[..., 0]
 
     def solved(self) -> Tensor:
-        """Which bins are solved, ``[bins]`` bool."""
+        """Return the bins that are solved, ``[bins]`` bool."""
         return self.opened & (self.episodes >= self.config.min_episodes) & (self.rates() >= self.config.solved_rate)
 
     def metrics(self) -> dict[str, float]:
-        """Where the curriculum is, under the field's metric names."""
+        """Return the shares of open and solved bins, the solved distance, and success rates by board and distance."""
         rate, solved = self.rates().view(self.shape), self.solved().view(self.shape)
         metrics = {
             "Curriculum/bins_open": float(self.opened.sum()) / len(self.opened),
@@ -165,15 +169,15 @@ class AutoCurriculum:
             full = solved[..., -1, free].flatten(1)
             reach = max((d for d, s in zip(self.config.distances, full.any(1).tolist()) if s), default=0.0)
             metrics[f"Curriculum/frontier_{name}"] = reach
-            if bool((seen := known[..., -1, free]).any()):
-                metrics[f"Curriculum/success_{name}"] = float(rate[..., -1, free][seen].mean())
+            if bool((enough := known[..., -1, free]).any()):
+                metrics[f"Curriculum/success_{name}"] = float(rate[..., -1, free][enough].mean())
         for ring, distance in enumerate(self.config.distances):
-            if bool((seen := known[ring, ..., -1, :]).any()):
-                metrics[f"Curriculum/success_{distance:g}m"] = float(rate[ring, ..., -1, :][seen].mean())
+            if bool((enough := known[ring, ..., -1, :]).any()):
+                metrics[f"Curriculum/success_{distance:g}m"] = float(rate[ring, ..., -1, :][enough].mean())
         return metrics
 
     def draw(self, path: Path, title: str) -> None:
-        """Draw success over distance and heading, for each height and board; see `draw_heat_map`."""
+        """Draw the success rate over distance and heading, for each height and board; see `draw_heat_map`."""
         edges = {"distance": self.config.distances, "heading": self.config.headings, "height": self.config.heights}
         draw_heat_map(
             path,
@@ -187,10 +191,11 @@ class AutoCurriculum:
         )
 
     def state_dict(self) -> dict[str, Any]:
-        """What a checkpoint needs."""
+        """Return the state for a checkpoint."""
+        # Saved runs have the name "trials".
         return {"trials": self.episodes, "successes": self.successes, "opened": self.opened}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Restore what `state_dict` returned."""
+        """Restore a state that `state_dict` returned."""
         for name, value in self.state_dict().items():
             value.copy_(state[name])

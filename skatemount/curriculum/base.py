@@ -1,4 +1,4 @@
-"""Settings of a curriculum, and what one has to offer."""
+"""`Curriculum`: the protocol of a curriculum of initial states, and the function that makes one."""
 
 from __future__ import annotations
 
@@ -17,52 +17,59 @@ from skatemount.utils.errors import ConfigError
 
 
 class Curriculum(Protocol):
-    """Chooses where episodes start, and learns from how they ended.
+    """A curriculum of initial states, which chooses the next ones by the episodes that ended.
 
-    Made with the settings and the board's own step height, m, under ``torch.device``: what it then makes is where the
-    environment is.
+    The constructor takes `CurriculumConfig` and the height of the board's deck, m. It runs under ``torch.device`` of
+    the environment, so the tensors that it makes are on that device.
     """
 
     def sample_poses(self, n: int, generator: torch.Generator) -> StartPoses:
-        """Draw ``n`` places to start at; what `StartPoses.bin` says comes back as the episode's ``bin``.
+        """Draw ``n`` initial poses.
 
-        But for the first episodes of a training, which start in the middle: theirs is -1.
+        `StartPoses.bin` comes back as the episode's ``bin``. The first episodes of a training begin at random phases
+        and have bin -1.
         """
 
     def observe_step(self, episode: EpisodeState, outcome: StepResult, done: Tensor) -> None:
-        """Learn from a step: the episodes ``[N]``, what the step led to, and which of them it ended."""
+        """Take a control step into account.
+
+        Args:
+            episode: ``[N]`` episodes after the step.
+            outcome: Result of the step.
+            done: ``[N]`` bool, episodes that ended.
+        """
 
     def update(self) -> None:
-        """Decide anew what is practised; called after every iteration, before new places are drawn."""
+        """Update the choice of poses; called after every iteration, before new poses are drawn."""
 
     def metrics(self) -> dict[str, float]:
-        """Where the curriculum is, under ``Curriculum/<name>``."""
+        """Return the progress of the curriculum, under ``Curriculum/<name>``."""
 
     def draw(self, path: Path, title: str) -> None:
-        """Make a picture (PNG) of where the curriculum is, if it has one."""
+        """Write a picture (PNG) of the curriculum's progress, or nothing."""
 
     def state_dict(self) -> dict[str, Any]:
-        """What a checkpoint needs."""
+        """Return the state for a checkpoint."""
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what `state_dict` returned."""
+        """Restore a state that `state_dict` returned."""
 
 
 def make_curriculum(
     config: CurriculumConfig, deck_height: float, device: torch.device | None = None
 ) -> Curriculum | None:
-    """The curriculum that the settings name.
+    """Make the curriculum that the settings name.
 
     Args:
         config: The settings.
-        deck_height: The board's own step height, m.
-        device: Where the environment is: the tensors that it makes as it is made are there.
+        deck_height: Height of the board's deck at rest, m.
+        device: Device of the environment, on which the curriculum makes its tensors; the CPU if None.
 
     Returns:
-        None if start states are the stage's own throughout.
+        The curriculum, or None if all initial states come from the stage's own ranges.
 
     Raises:
-        ConfigError: There is no such class.
+        ConfigError: There is no such class, or it cannot be made with these settings.
     """
     if config.kind in ("none", "stages"):
         return None
@@ -73,5 +80,7 @@ def make_curriculum(
     except (ImportError, AttributeError, TypeError, ValueError) as error:
         if isinstance(error, ConfigError):
             raise
-        raise ConfigError(f"curriculum.kind={config.kind}: no curriculum can be made of it ({error})") from error
+        raise ConfigError(
+            f"curriculum.kind={config.kind} must be auto, none, stages or the module:Class of a curriculum ({error})"
+        ) from error
     return made

@@ -8,7 +8,7 @@ from typing import Any
 from skatemount.utils.errors import ConfigError
 
 CURRICULA = {"auto": "skatemount.curriculum.auto:AutoCurriculum"}
-"""Curricula of start states by their kind: ``module:Class``. A kind that is not here names its class itself."""
+"""Curricula of initial states, as ``module:Class`` by kind. Any other kind is itself a ``module:Class``."""
 
 
 KINDS = ("none", "stages", *CURRICULA)
@@ -19,11 +19,11 @@ class StageLink:
     """One stage in a chain of stages.
 
     Attributes:
-        gate: Deterministic success in the training's evaluations that ends the stage; none if null.
-        budget: Share of the frames. A stage gets its part of all that is left, by the shares of the stages still to
-            come, so what one leaves over goes to the later ones.
-        renormalize: As in `StageConfig`: for a stage that sees far less varied observations than the
-            one before, whose deviations would hide them.
+        gate: Success rate of the training's evaluations at which the stage ends; null for no gate.
+        budget: Share of the frames, relative to the other stages. Frames that a stage does not use go to the later
+            stages.
+        renormalize: Collect new normalization statistics, as in `StageConfig`. For a stage whose observations vary far
+            less than those of the stage before.
     """
 
     gate: float | None = None
@@ -33,38 +33,38 @@ class StageLink:
 
 @dataclass
 class CurriculumConfig:
-    """Which start states are practised when.
+    """Settings of a curriculum of initial states.
 
-    The automatic curriculum keeps a grid of bins: how far from the board, in which direction, how far the heading is
-    off, how high the step is, board fixed or free. A bin opens when a neighbour is solved.
+    The automatic curriculum keeps a grid of bins over the distance and direction from the board, the heading, the
+    height of the step, and whether the board is fixed or free. A bin opens when a neighboring bin is solved.
 
     Attributes:
         kind: ``none`` (the stage's start ranges throughout), ``stages`` (several stages, one after the other),
-            ``auto``, or a `Curriculum` of one's own as ``module:Class``.
-        name: What a chain of stages is called.
+            ``auto``, or your own `Curriculum` as ``module:Class``.
+        name: Name of a chain of stages.
         stages: The stages of a chain, in order.
-        params: Settings of a curriculum of one's own.
-        distances: Upper edges of the rings about the board: the trunk's distance from the deck's centre in the plane,
-            m.
-        bearings: Upper edges of the direction from the deck's centre to the trunk, degrees off the board's long axis,
-            up to 90; the board is as symmetric as that.
-        headings: Upper edges of the heading's error modulo a half turn, degrees, up to 90.
-        heights: Upper edges of the step up to the deck, m; the last bin is always the board's own height.
-        min_height: Lower edge of the first of the heights, m.
-        free_board_after: Free boards join when this ring is solved on the fixed board at full height, m; null for fixed
-            boards alone.
-        success_threshold: An episode counts as a success when its `EpisodeState.soft_success` exceeds this at the time
-            limit; milder than the real success, which exploration noise hides.
-        solved_rate: A bin is solved when this share of its recent episodes succeeded.
-        window: Recent episodes a bin's estimate is about.
-        min_episodes: Episodes a bin needs before it counts as solved.
-        replay_fraction: Share of the starts drawn from all open bins alike; the others go where success is neither
-            rare nor sure.
-        stage_range_fraction: Share of the starts that are drawn from the stage's own ranges once every bin is open.
-        stage_range_from: With them, bins farther out than this are left to them, m; none if null.
-        stuck_start_fraction: Share of the starts in the stage's own ranges that are instead states of earlier episodes
-            in which a robot was stuck: half-mounted more than two seconds after the first contact. With any kind but
-            ``stages``.
+        params: Settings of your own curriculum.
+        distances: Upper edges of the rings around the board, by the horizontal distance between trunk and deck's
+            center, m.
+        bearings: Upper edges of the direction from the deck's center to the trunk, degrees off the board's long axis.
+            At most 90, because the board is symmetric.
+        headings: Upper edges of the heading's error modulo a half turn, degrees. At most 90.
+        heights: Upper edges of the step up to the deck, m. The last bin is always the board's own height.
+        min_height: Lower edge of the first height bin, m.
+        free_board_after: Distance whose ring must be solved with the fixed board at full height before free boards are
+            practiced, m; null for fixed boards only.
+        success_threshold: An episode counts as a success if its `EpisodeState.soft_success` exceeds this at the time
+            limit. This is easier than real success, which exploration noise hides.
+        solved_rate: Share of a bin's recent episodes that must succeed for the bin to be solved.
+        window: Number of recent episodes in a bin's estimate.
+        min_episodes: Number of episodes that a bin needs before it counts as solved.
+        replay_fraction: Share of the starts drawn uniformly from all open bins; the others are drawn where success is
+            neither rare nor certain.
+        stage_range_fraction: Share of the starts drawn from the stage's own ranges once every bin is open.
+        stage_range_from: Distance beyond which the stage's own ranges replace the bins, m; null to keep all bins.
+        stuck_start_fraction: Share of the starts in the stage's own ranges that are replaced by states of earlier
+            episodes in which a robot was stuck: half-mounted more than two seconds after the first contact. Works with
+            every kind except ``stages``.
     """
 
     kind: str
@@ -87,7 +87,7 @@ class CurriculumConfig:
     stuck_start_fraction: float
 
     def validate(self, where: str = "curriculum") -> None:
-        """Raise `ConfigError` for settings that cannot be used."""
+        """Raise `ConfigError` if a setting cannot be used."""
         if self.kind not in KINDS and ":" not in self.kind:
             raise ConfigError(
                 f"{where}.kind={self.kind} must be one of {', '.join(KINDS)}, or module:Class for one of your own"

@@ -1,4 +1,4 @@
-"""A picture of a grid of start bins: where it is open, and how often starts there succeed."""
+"""A heat map of a grid of bins of initial states: the open bins and their success rates."""
 
 from __future__ import annotations
 
@@ -29,22 +29,21 @@ def draw_heat_map(
 ) -> None:
     """Draw success over distance and heading, for fixed and free boards and each height of the step.
 
-    Bins that are not open are blank; a solved one has a black frame; one that no start is drawn from any more is
-    hatched, as its estimate is old. The number in a bin is its success in per cent. Where the grid has more axes, it is
-    the mean of the open bins along them, and solved or resting means that all of these are.
+    Bins that are not open are blank. A solved bin has a black frame. A resting bin, from which no start is drawn any
+    more, is hatched, because its estimate is old. The number in a bin is its success rate in percent. Other axes of the
+    grid are averaged over their open bins; a bin is then solved or resting if all of these are.
 
     Args:
         path: The picture (PNG), replaced in one step.
-        title: Written above.
+        title: Title of the figure.
         axes: Names of the grid's axes, ``distance``, ``heading``, ``height`` and ``free`` among them.
-        rates: The grid of estimated success.
-        opened: Likewise, bool.
-        solved: Likewise, bool.
-        resting: Likewise, bool.
+        rates: The grid of estimated success rates.
+        opened: The grid of open bins, bool.
+        solved: The grid of solved bins, bool.
+        resting: The grid of resting bins, bool.
         edges: Upper edges of the bins along ``distance`` (m), ``heading`` (degrees) and ``height`` (m).
     """
-    # The object interface: no global figure list, no display, safe beside a user's own plots.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    # The object interface has no global list of figures and needs no display.
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
@@ -52,7 +51,7 @@ def draw_heat_map(
     others = [i for i in range(len(axes)) if i not in shown]
 
     def grid(values: Tensor) -> np.ndarray:
-        """``[distance, heading, height, free, others]``."""
+        """Return values as ``[distance, heading, height, free, others]``."""
         return values.cpu().permute(*shown, *others).reshape(*(values.shape[i] for i in shown), -1).numpy()
 
     is_open = grid(opened)
@@ -64,16 +63,16 @@ def draw_heat_map(
     columns = len(heights)
     boards = _BOARDS[: success.shape[-1]]
     figure = Figure(figsize=(1.5 + 3.6 * columns, 2.8 * len(boards)), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
+
     figure.suptitle(title, fontsize=12, parse_math=False)
     panels = figure.subplots(len(boards), columns, squeeze=False, sharex=True, sharey=True)
-    colours = Normalize(0.0, 1.0)
+    colors = Normalize(0.0, 1.0)
     for column, high in enumerate(heights):
         name = f"step up to {1000 * high:.0f} mm" if column < columns - 1 else "full height"
         for row, board in enumerate(boards):
             axis = panels[row, column]
             values = success[:, :, column, row]
-            image = axis.pcolormesh(values.T, cmap="viridis", norm=colours, edgecolors="white", linewidth=0.5)
+            image = axis.pcolormesh(values.T, cmap="viridis", norm=colors, edgecolors="white", linewidth=0.5)
             _mark(axis, values, is_solved[:, :, column, row], is_resting[:, :, column, row])
             axis.set_title(f"{board}, {name}", fontsize=9)
     for axis in panels.flat:

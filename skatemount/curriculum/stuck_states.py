@@ -1,4 +1,4 @@
-"""States of rollouts in which a robot is stuck, half-mounted, as starts: the way out of them is practised."""
+"""Initial states from rollouts in which a robot was stuck half-mounted, so that it practices to get out of them."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from skatemount.envs.sampling import uniform
 from skatemount.envs.state import EpisodeState, SimState
 
 SIZE = 4096
-"""States kept; a new one takes the place of the oldest."""
+"""Capacity of the buffer in states; new states replace the oldest."""
 PER_STEP = 16
-"""Most states taken from one control step, so that what is kept comes from many moments."""
+"""Largest number of states taken from one control step, so that the buffer holds states of many steps."""
 MAX_TILT = math.radians(5.0)
-"""Of the deck: boards start level, and the robot's feet must still be where they were."""
+"""Largest tilt of the deck, rad. Boards start level, and a small tilt keeps the feet where they were."""
 STUCK_AFTER = 2.0
-"""Half-mounted this long after a foot first pressed on the deck, a robot is not on its way any more, s."""
+"""Time from the first contact between foot and deck after which a half-mounted robot counts as stuck, s."""
 
 
 def half_mounted(sim: SimState, episode: EpisodeState) -> Tensor:
-    """Whether one to three feet press on a deck that is level, under an upright robot, ``[N]`` bool.
+    """Return the worlds in which one to three feet of an upright robot press on a level deck, ``[N]`` bool.
 
     Args:
-        sim: The state.
-        episode: The episodes.
+        sim: ``[N]`` states.
+        episode: ``[N]`` episodes.
     """
     feet = episode.on_deck.sum(1)
     upright = -sim.gravity[:, 2] > math.cos(success.MAX_TRUNK_TILT)
@@ -38,14 +38,14 @@ def half_mounted(sim: SimState, episode: EpisodeState) -> Tensor:
 
 
 def to_start_states(sim: SimState, deck_height: float) -> StartState:
-    """States as starts: robot and board moved together to where boards start, level and along the x axis.
+    """Turn states into initial states, with robot and board moved together to the board's usual initial pose.
 
     Args:
         sim: ``[N]`` states.
-        deck_height: Of the board at rest, m.
+        deck_height: Height of the board's deck at rest, m.
 
     Returns:
-        ``[N]``; no wrench, and part of no curriculum.
+        ``[N]`` initial states without an external wrench and with bin -1.
     """
     n = len(sim.base_pos)
     to_board = sim.board_rot.transpose(-1, -2)
@@ -69,14 +69,14 @@ def to_start_states(sim: SimState, deck_height: float) -> StartState:
 
 
 class StuckStateBuffer:
-    """Collects half-mounted states of an environment, and lets a share of its starts be such states.
+    """A buffer of stuck, half-mounted states of an environment, from which a share of its episodes begin.
 
-    It is filled anew after a resume, within an iteration or two.
+    It is not saved: after a resume it fills again within an iteration or two.
 
     Args:
-        env: The environment; it is listened to, and its starts are changed from the next draw on.
-        share: Of the starts in the stage's own ranges.
-        after: What is kept is older than this, seconds from the first foot-deck contact.
+        env: The environment. The buffer listens to it and transforms the initial states drawn from now on.
+        share: Share of the starts in the stage's own ranges that is replaced.
+        after: Time from the first contact between foot and deck before a state is kept, s.
     """
 
     def __init__(self, env: MountEnv, share: float, after: float = STUCK_AFTER):
@@ -86,23 +86,32 @@ class StuckStateBuffer:
         env.set_start_transform(self.replace_fraction)
 
     def observe_step(self, episode: EpisodeState, outcome: StepResult, done: Tensor) -> None:
-        """Keep some of a step's states of stuck robots; a listener of `MountEnv`."""
+        """Keep some states of stuck robots from a control step; a listener of `MountEnv`.
+
+        Args:
+            episode: ``[N]`` episodes after the step.
+            outcome: Result of the step.
+            done: ``[N]`` bool, episodes that ended.
+        """
         env = self._env
-        trying = episode.step * env.mdp.context.control_step - episode.first_contact
-        rows = (half_mounted(env.sim, episode) & (trying > self._after) & ~done).nonzero().flatten()
+        since_contact = episode.step * env.mdp.context.control_step - episode.first_contact
+        rows = (half_mounted(env.sim, episode) & (since_contact > self._after) & ~done).nonzero().flatten()
         if not len(rows):
             return
         rows = rows[torch.randperm(len(rows), generator=env.generator, device=rows.device)[:PER_STEP]]
-        # Mypy does not see tensorclass's own.
+        # Mypy does not know the indexing of a tensorclass.
         new = to_start_states(env.sim[rows], env.task.scene.deck_height)  # type: ignore[index]
         self._kept = new if self._kept is None else StartState.cat([self._kept, new])[-SIZE:]
 
     def replace_fraction(self, starts: StartState, generator: torch.Generator) -> StartState:
-        """Put kept states in the place of a share of starts that belong to no bin; the wrench on the trunk stays.
+        """Replace a share of the initial states without a bin by kept states; the wrench on the trunk stays.
 
         Args:
-            starts: As drawn.
+            starts: ``[n]`` initial states as drawn.
             generator: Source of randomness.
+
+        Returns:
+            ``[n]`` initial states.
         """
         if self._kept is None:
             return starts

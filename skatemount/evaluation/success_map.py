@@ -1,4 +1,4 @@
-"""Where a policy succeeds: a picture of the success rate over the robot's place and heading at the start."""
+"""A success map: the success rate over the robot's initial position and heading."""
 
 from __future__ import annotations
 
@@ -18,29 +18,27 @@ if TYPE_CHECKING:
     from matplotlib.collections import QuadMesh
 
 FAILURE, BARS, EDGE = "#d62728", "#4c78a8", "#333333"
-_EPISODES_A_CELL = 12
+_EPISODES_PER_CELL = 12
 _SECTORS = (24, 12, 8)
-_EPISODES_A_SECTOR = 20
+_EPISODES_PER_SECTOR = 20
 
 
 def plot_success_map(result: Evaluation, boards: Sequence[SkateboardConfig], png_path: Path) -> None:
-    """Draw the success rate over the start.
+    """Draw the success rate over the initial pose.
 
-    On the left over the trunk's place in the board's frame: the rate in square cells of about a dozen episodes each,
-    blank where nothing started, with a dot for each failed episode and the outline of the deck. On the right over the
-    heading, with Wilson's 95 % intervals.
+    The left panel shows it over the trunk's position in the board's frame, in square cells of about a dozen episodes
+    each, with a dot for each failed episode and the outline of the deck. Cells in which no episode began are blank. The
+    right panel shows it over the heading, with Wilson's 95 % intervals.
 
     Args:
         result: The evaluation.
-        boards: The boards that it was about, for their outlines.
-        png_path: The picture, replaced in one step.
+        boards: The boards of the evaluation, for their outlines.
+        png_path: The picture (PNG), replaced in one step.
     """
-    # The object interface: no global figure list, no display, safe beside a user's own plots.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    # The object interface has no global list of figures and needs no display.
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 5.8), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     low, high = result.interval
     rate = f"{result.success_rate:.1%} of {result.episodes:,} episodes (95 % interval {low:.1%} to {high:.1%})"
     figure.suptitle(f"{result.title}: {rate}", fontsize=13, parse_math=False)
@@ -54,18 +52,18 @@ def plot_success_map(result: Evaluation, boards: Sequence[SkateboardConfig], png
 
 
 def rates_by_place(xy: np.ndarray, success: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The success rate in nearly square cells of about a dozen episodes each, if starts fill the rectangle.
+    """Return success rates in nearly square cells, of about a dozen episodes each if positions fill the rectangle.
 
     Args:
-        xy: ``[N, 2]`` m.
+        xy: ``[N, 2]`` initial positions, m.
         success: ``[N]`` bool.
 
     Returns:
-        The cells' edges along x and y, and ``[cells along x, cells along y]`` rates, not a number in empty cells.
+        The edges of the cells along x and along y, m, and ``[cells along x, cells along y]`` rates, nan in empty cells.
     """
     low, high = xy.min(0) - 1e-6, xy.max(0) + 1e-6
     span = high - low
-    cell = np.sqrt(span.prod() * _EPISODES_A_CELL / len(xy))
+    cell = np.sqrt(span.prod() * _EPISODES_PER_CELL / len(xy))
     counts = np.clip(np.round(span / np.clip(cell, span.max() / 40, span.max() / 4)), 1, None).astype(int)
     edges = [np.linspace(low[i], high[i], counts[i] + 1) for i in range(2)]
     index = tuple(np.clip(np.digitize(xy[:, i], edges[i]) - 1, 0, counts[i] - 1) for i in range(2))
@@ -82,7 +80,7 @@ def _draw_places(axis: Axes, result: Evaluation, boards: Sequence[SkateboardConf
     x, y, rates = rates_by_place(xy, success)
     mesh = axis.pcolormesh(x, y, np.ma.masked_invalid(rates.T), cmap="viridis", vmin=0, vmax=1, alpha=0.85)
     failed = xy[~success]
-    # Many failures would hide the cells behind them.
+    # Smaller dots for many failures, or they would hide the cells.
     size = float(np.clip(4000 / max(len(failed), 1), 2, 22))
     rim = 0.3 if size > 6 else 0.0
     x_failed, y_failed = failed[:, 0], failed[:, 1]
@@ -103,7 +101,7 @@ def _draw_places(axis: Axes, result: Evaluation, boards: Sequence[SkateboardConf
 
 
 def _limits(result: Evaluation, boards: Sequence[SkateboardConfig]) -> tuple[np.ndarray, np.ndarray]:
-    """Lower left and upper right of what is shown: all starts, and the boards unless every start is over them."""
+    """Return the corners of the drawn area: all starts, and the boards unless every start is above them."""
     xy = result.records.start[:, :2].double().numpy()
     lower, upper = xy.min(0), xy.max(0)
     corner = np.max([(board.deck_length / 2 + board.kick_length, board.deck_width / 2) for board in boards], axis=0)
@@ -117,7 +115,7 @@ def _draw_board(axis: Axes, board: SkateboardConfig, alpha: float) -> None:
     from matplotlib.patches import Arc, Rectangle
 
     x, width = board.deck_length / 2, board.deck_width
-    # The flat part, which is to be stood on, and the rounded kicks at its ends.
+    # The flat part of the deck and the rounded kicks at its ends.
     line: dict[str, Any] = dict(edgecolor=EDGE, alpha=alpha, zorder=2)
     axis.add_patch(Rectangle((-x, -width / 2), 2 * x, width, fill=False, lw=1.3, **line))
     for end, first in ((-x, 90), (x, -90)):
@@ -129,7 +127,7 @@ def _draw_headings(axis: Axes, result: Evaluation) -> None:
     records = result.records
     degrees, success = np.degrees(records.start[:, 2].double().numpy()), records.success.numpy()
     span = np.ptp(degrees)
-    sectors = next((n for n in _SECTORS if len(degrees) >= n * _EPISODES_A_SECTOR), _SECTORS[-1])
+    sectors = next((n for n in _SECTORS if len(degrees) >= n * _EPISODES_PER_SECTOR), _SECTORS[-1])
     if span > 180:
         edges = np.linspace(-180, 180, sectors + 1)
     else:
@@ -137,13 +135,13 @@ def _draw_headings(axis: Axes, result: Evaluation) -> None:
     index = np.clip(np.digitize(degrees, edges) - 1, 0, len(edges) - 2)
     episodes = np.bincount(index, minlength=len(edges) - 1)
     successes = np.bincount(index, weights=success, minlength=len(edges) - 1)
-    some = episodes > 0
-    centres, widths = ((edges[:-1] + edges[1:]) / 2)[some], np.diff(edges)[some]
-    rates = successes[some] / episodes[some]
-    bounds = np.array([wilson_interval(int(s), int(n)) for s, n in zip(successes[some], episodes[some])])
-    axis.bar(centres, rates, width=0.9 * widths, color=BARS, alpha=0.85)
+    filled = episodes > 0
+    centers, widths = ((edges[:-1] + edges[1:]) / 2)[filled], np.diff(edges)[filled]
+    rates = successes[filled] / episodes[filled]
+    bounds = np.array([wilson_interval(int(s), int(n)) for s, n in zip(successes[filled], episodes[filled])])
+    axis.bar(centers, rates, width=0.9 * widths, color=BARS, alpha=0.85)
     whiskers = np.abs(bounds.T - rates)
-    axis.errorbar(centres, rates, yerr=whiskers, fmt="none", ecolor=EDGE, elinewidth=1, capsize=2)
+    axis.errorbar(centers, rates, yerr=whiskers, fmt="none", ecolor=EDGE, elinewidth=1, capsize=2)
     axis.axhline(result.success_rate, color=EDGE, lw=0.8, ls=":")
     axis.set_xlim(edges[0], edges[-1])
     if span > 180:

@@ -10,31 +10,31 @@ from skatemount.utils.errors import ConfigError
 
 @dataclass
 class AlgorithmConfig:
-    """Hyper-parameters of PPO.
+    """Hyperparameters of PPO.
 
     Attributes:
-        epochs: Passes over a batch.
-        minibatches: ObservationLayout of a batch; one update each.
-        learning_rate: At the start.
-        min_learning_rate: Lowest that the KL may push it to.
-        max_learning_rate: Highest.
-        target_kl: KL divergence of the policy before a batch from the one after it that the learning rate aims at;
-            null keeps the learning rate.
-        clip_epsilon: Of the probability ratio.
-        clip_value: Clip the value loss by the same amount.
+        epochs: Number of passes over a batch.
+        minibatches: Number of minibatches of a batch, each of them one gradient step.
+        learning_rate: Initial learning rate.
+        min_learning_rate: Lower bound of the learning rate as it follows the KL.
+        max_learning_rate: Upper bound of the learning rate as it follows the KL.
+        target_kl: Target KL divergence between the policies before and after an update; the learning rate adapts to it.
+            null for a constant learning rate.
+        clip_epsilon: Clipping range of the probability ratio.
+        clip_value: Also clip the change of the value by ``clip_epsilon``.
         critic_coeff: Weight of the value loss.
         entropy_coeff: Weight of the entropy bonus.
-        discount_horizon: Seconds over which rewards are discounted: gamma = exp(-control step / discount_horizon).
-        gae_horizon: Seconds over which GAE looks ahead: lambda = exp(-control step / gae_horizon).
+        discount_horizon: Time constant of the discount, s: ``gamma = exp(-control_step / discount_horizon)``.
+        gae_horizon: Time constant of GAE, s: ``lambda = exp(-control_step / gae_horizon)``.
         max_grad_norm: Largest norm of the gradient.
-        final_std: What the upper bound of the actions' standard deviation falls to, from ``network.max_std``; null
-            leaves it there.
-        std_frames: Frames until it is there; it falls by the same share in each.
-        final_target_kl: What ``target_kl`` falls to over the last frames, by the same share in each; null leaves it.
-            Small steps at the end kl_anneal_fraction a policy that large ones have kept moving about.
-        kl_anneal_fraction: Share of all frames over which it does.
-        compile: Let torch compile the networks for the updates: they are faster, the first one takes a minute, and a
-            C++ compiler must be installed.
+        final_std: Final upper bound of the actions' standard deviation; it falls exponentially from
+            ``network.max_std``. null keeps the bound.
+        std_frames: Number of frames over which the bound falls.
+        final_target_kl: Final ``target_kl``; it falls exponentially at the end of a training. null keeps ``target_kl``.
+            Small updates at the end converge where large ones keep moving the policy.
+        kl_anneal_fraction: Share of all frames, at the end, over which ``target_kl`` falls.
+        compile: Compile the networks for the updates with torch. Updates are faster, but the first one takes a minute,
+            and a C++ compiler must be installed.
     """
 
     epochs: int
@@ -57,7 +57,7 @@ class AlgorithmConfig:
     compile: bool
 
     def validate(self, where: str = "algorithm") -> None:
-        """Raise `ConfigError` for values that cannot be used."""
+        """Raise `ConfigError` if a setting cannot be used."""
         for name in ("epochs", "minibatches"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")

@@ -1,4 +1,4 @@
-"""PPO: TorchRL's `ClipPPOLoss` and `GAE`, with exact bootstrap at time-outs and a learning rate that follows the KL."""
+"""PPO with TorchRL's `ClipPPOLoss` and `GAE`, exact bootstrapping at time-outs, and an adaptive learning rate."""
 
 from __future__ import annotations
 
@@ -18,32 +18,39 @@ from skatemount.losses.config import AlgorithmConfig
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.utils.errors import ConfigError
 
-LEARNT_FROM = ("action", "action_log_prob", "advantage", "value_target", "state_value")
-"""What the loss needs of a batch, besides what the networks see."""
+LOSS_KEYS = ("action", "action_log_prob", "advantage", "value_target", "state_value")
+"""Keys of a batch that the loss reads, in addition to the inputs of the networks."""
 
 KL_STATES = 4096
-"""States that the KL of an update is measured in; up to twice as many if the batch is no multiple of it."""
+"""Number of states in which the KL of an update is measured; up to twice as many if it does not divide the batch."""
 
 
-def _fallen(first: float, last: float, share: float) -> float:
-    """Where something is that falls from the first to the last value by the same factor in each step."""
+def _anneal(first: float, last: float, share: float) -> float:
+    """Return the value after a share of an exponential fall from the first to the last value."""
     return first * (last / first) ** min(max(share, 0.0), 1.0)
 
 
 def _moments(distribution: IndependentNormal) -> tuple[Tensor, Tensor]:
+    """Return means and standard deviations in float32."""
     normal = distribution.base_dist
     return normal.loc.float(), normal.scale.float()
 
 
 class PPO:
-    """Updates an `ActorCritic` from batches of experience.
+    """Proximal policy optimization of an `ActorCritic` (Schulman et al., 2017).
 
     Args:
-        config: Hyper-parameters.
+        config: Hyperparameters.
         networks: Actor and critic.
-        control_step: Seconds between two actions.
-        bf16: Compute the updates' matrix products in bfloat16.
-        generator: Source of the minibatches' order.
+        control_step: Time between two actions, s.
+        bf16: Compute the matrix products of updates in bfloat16.
+        generator: Source of randomness for the order of the minibatches.
+
+    Attributes:
+        config: Hyperparameters.
+        networks: Actor and critic.
+        loss: TorchRL's loss.
+        optimizer: Adam.
     """
 
     def __init__(
@@ -69,7 +76,7 @@ class PPO:
             clip_value=config.clip_epsilon if config.clip_value else None,
             normalize_advantage=False,
             log_explained_variance=False,
-            # The networks are trained in place, so that what collects always has the newest weights.
+            # Train the networks in place, so that the collector always has the newest weights.
             functional=False,
         )
         gamma, lmbda = math.exp(-control_step / config.discount_horizon), math.exp(-control_step / config.gae_horizon)
@@ -87,82 +94,82 @@ class PPO:
 
     @property
     def learning_rate(self) -> float:
-        """The present learning rate."""
+        """Current learning rate."""
         return float(self.optimizer.param_groups[0]["lr"])
 
     def use_min_learning_rate(self) -> None:
-        """Begin at the lowest learning rate, if it follows the KL: for a policy that can already do something.
+        """Start with the lowest learning rate, if it adapts to the KL; for a training that starts from a policy.
 
-        Adam's first steps are of full size whatever the gradient, and a trained policy with its small deviation
-        would be far from itself before the KL is first looked at.
+        Adam's first steps have the full size of the learning rate, whatever the gradient. A trained policy, with its
+        small standard deviation, would change too much before the KL is measured for the first time.
         """
         if self._schedule is not None:
             for group in self.optimizer.param_groups:
                 group["lr"] = self.config.min_learning_rate
 
     def step_schedules(self, frames: int, total_frames: int) -> None:
-        """Narrow exploration, and make the steps smaller, as the settings say for this moment.
+        """Set the exploration and the target KL that the settings give for this moment of the training.
 
-        Exploring finds the step up, and hides whether the robot can stand there.
+        Wide exploration finds the step up, but its noise prevents the robot from learning to stand there.
 
         Args:
-            frames: Trained so far.
-            total_frames: To train in all.
+            frames: Number of frames trained so far.
+            total_frames: Number of frames of the whole training.
         """
         c = self.config
         if c.final_std is not None:
             first = self.networks.config.max_std
-            self.networks.limit_std(_fallen(first, c.final_std, frames / c.std_frames))
+            self.networks.limit_std(_anneal(first, c.final_std, frames / c.std_frames))
         if c.final_target_kl is not None and c.target_kl is not None and self._schedule is not None:
             share = 1 - (total_frames - frames) / (c.kl_anneal_fraction * total_frames)
-            self._schedule.target_kl = _fallen(c.target_kl, c.final_target_kl, share)
+            self._schedule.target_kl = _anneal(c.target_kl, c.final_target_kl, share)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """Learn from a batch.
+        """Update the networks from a batch.
 
         Args:
             batch: ``[N, T]`` as a TorchRL collector yields it.
 
         Returns:
-            ``Loss/*`` and ``Policy/mean_std``.
+            Metrics ``Loss/*`` and ``Policy/mean_std``.
 
         Raises:
-            ConfigError: ``algorithm.compile`` is on, and torch cannot compile here.
-            FloatingPointError: The batch is not finite, and nothing has changed; or the loss or the gradient is not,
-                and the weights are as before that minibatch.
+            ConfigError: ``algorithm.compile`` is on, but torch cannot compile on this machine.
+            FloatingPointError: The batch is not finite, and nothing has changed; or the loss or the gradient is not
+                finite, and the weights are those before that minibatch.
         """
         self._check_finite(batch)
         self.networks.observe(batch)
-        seen = self.networks.prepare(batch)
+        inputs = self.networks.prepare(batch)
         with self._autocast():
-            self._fill_values(batch, seen)
+            self._fill_values(batch, inputs)
         self._gae(batch)
         advantage = batch["advantage"]
         batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        flat = seen.update(batch.select(*LEARNT_FROM)).flatten(0, 1)
-        # What the whole batch would tell about the KL, some thousand states tell as well.
-        some = flat.select("actor_input")[:: max(1, len(flat) // KL_STATES)]
+        flat = inputs.update(batch.select(*LOSS_KEYS)).flatten(0, 1)
+        # A few thousand states estimate the KL as well as the whole batch.
+        sample = flat.select("actor_input")[:: max(1, len(flat) // KL_STATES)]
         with torch.no_grad(), self._autocast():
-            loc, scale = _moments(self._actor.get_dist(some))
-            # The scale is a view of the parameter that is about to change.
+            loc, scale = _moments(self._actor.get_dist(sample))
+            # The scale is a view of the parameter, which the update changes.
             scale = scale.clone()
 
         sums: dict[str, Tensor] = {}
         updates = 0
         for _ in range(self.config.epochs):
-            # A collector's batch names no device, which would mean the CPU.
+            # The device of the weights, because a collector's batch has none.
             order = torch.randperm(flat.shape[0], generator=self._generator, device=self._parameters[0].device)
             for rows in order.chunk(self.config.minibatches):
-                # Whole rows are copied; an index would go through their numbers one by one.
+                # index_select copies whole rows, which is faster than indexing.
                 part = flat.apply(lambda values, rows=rows: values.index_select(0, rows), batch_size=[len(rows)])
                 losses = self._step(part)
                 updates += 1
                 for name, value in losses.items():
                     sums[name] = sums.get(name, 0.0) + value
-        kl = self._divergence(some, loc, scale)
+        kl = self._divergence(sample, loc, scale)
         if self._schedule is not None:
-            # Once a batch: near the old policy the first minibatches move little at any rate, and a rate that grows
-            # meanwhile overshoots several times over before it is cut again.
+            # Once per batch. The first minibatches are close to the old policy, so a schedule that steps after each of
+            # them raises the rate several times before it can lower it again.
             self._schedule.step(kl)
         return {
             "Loss/surrogate": float(sums["loss_objective"]) / updates,
@@ -175,22 +182,23 @@ class PPO:
         }
 
     def _check_finite(self, batch: TensorDictBase) -> None:
-        # Before the normalisers see it: they would never forget it.
-        seen = [*self.networks.critic_keys, "action"]
-        for key in [("next", "reward"), *seen, *(("next", key) for key in self.networks.critic_keys)]:
+        """Raise `FloatingPointError` for values that are not finite, which would stay in the normalizers forever."""
+        keys = [*self.networks.critic_keys, "action"]
+        for key in [("next", "reward"), *keys, *(("next", key) for key in self.networks.critic_keys)]:
             finite = torch.isfinite(batch[key]).flatten(1).all(1)
             if not bool(finite.all()):
                 name = key if isinstance(key, str) else ".".join(key)
                 raise FloatingPointError(f"{name} is not finite in {int((~finite).sum())} of {len(finite)} worlds")
 
     def _step(self, part: TensorDictBase) -> dict[str, Tensor]:
+        """Take a gradient step on a minibatch, ``[rows]``, and return the losses."""
         try:
             with self._autocast():
                 losses = self.loss(part)
         except BackendCompilerFailed as error:
             raise ConfigError(
                 f"algorithm.compile=true: torch cannot compile here ({str(error).splitlines()[0]}); install a C++ "
-                "compiler, or algorithm.compile=false"
+                "compiler or use algorithm.compile=false"
             ) from error
         total = sum(value for name, value in losses.items() if name.startswith("loss_"))
         self.optimizer.zero_grad(set_to_none=True)
@@ -203,7 +211,15 @@ class PPO:
 
     @torch.no_grad()
     def _divergence(self, part: TensorDictBase, loc: Tensor, scale: Tensor) -> float:
-        """KL of the policy before the iteration from the present one, the closed form for diagonal Gaussians."""
+        """Return the mean KL divergence between the policies before and after the update.
+
+        Uses the closed form for diagonal Gaussians.
+
+        Args:
+            part: ``[rows]`` with ``actor_input``.
+            loc: ``[rows, actions]`` means before the update.
+            scale: ``[rows, actions]`` standard deviations before the update.
+        """
         with self._autocast():
             new_loc, new_scale = _moments(self._actor.get_dist(part))
         ratio = scale / new_scale
@@ -211,25 +227,30 @@ class PPO:
         return float(kl.sum(-1).mean())
 
     @torch.no_grad()
-    def _fill_values(self, batch: TensorDictBase, seen: TensorDictBase) -> None:
-        """Value of every state and of what follows it, each computed once.
+    def _fill_values(self, batch: TensorDictBase, inputs: TensorDictBase) -> None:
+        """Write the values of all states and of their successors into a batch, each computed once.
 
-        What follows a step is the next step's state, but at a time-out and at the end of the batch: there the critic
-        looks at the true next state.
+        The successor of a step is the state of the next step. At a time-out and at the end of the batch it is not, so
+        the critic is applied to the true next state.
+
+        Args:
+            batch: ``[N, T]``, gets ``state_value`` and ``next/state_value``.
+            inputs: ``[N, T]`` with ``critic_input``.
         """
         critic, keys = self.networks.critic, self.networks.critic_keys
-        value = self._critic(seen.select("critic_input"))["state_value"].float()
+        value = self._critic(inputs.select("critic_input"))["state_value"].float()
         following = torch.empty_like(value)
         following[:, :-1] = value[:, 1:]
-        look = batch["next", "done"] & ~batch["next", "terminated"]
-        look[:, -1] = True
-        look = look.squeeze(-1)
-        following[look] = critic(batch["next"].select(*keys)[look])["state_value"].float()
+        recompute = batch["next", "done"] & ~batch["next", "terminated"]
+        recompute[:, -1] = True
+        recompute = recompute.squeeze(-1)
+        following[recompute] = critic(batch["next"].select(*keys)[recompute])["state_value"].float()
         batch["state_value"] = value
         batch["next", "state_value"] = following
 
     @contextlib.contextmanager
     def _autocast(self) -> Iterator[None]:
+        """Use bfloat16 for the matrix products of a ``with`` block, if the settings ask for it."""
         if not self._bf16:
             yield
             return
@@ -237,9 +258,9 @@ class PPO:
             yield
 
     def state_dict(self) -> dict[str, object]:
-        """Optimiser and learning rate."""
+        """Return the state of the optimizer, with the learning rate."""
         return {"optimizer": self.optimizer.state_dict()}
 
     def load_state_dict(self, state: dict[str, dict]) -> None:
-        """Restore what `state_dict` returned."""
+        """Restore a state that `state_dict` returned."""
         self.optimizer.load_state_dict(state["optimizer"])

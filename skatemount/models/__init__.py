@@ -1,1 +1,1 @@
-"""Actor and critic."""
+"""Actor and critic networks."""

@@ -11,16 +11,16 @@ ACTIVATIONS = ("elu", "relu", "tanh", "silu")
 
 @dataclass
 class NetworkConfig:
-    """Sizes of the networks.
+    """Settings of actor and critic.
 
     Attributes:
-        actor: Hidden layers of the actor.
-        critic: Hidden layers of the critic.
+        actor: Sizes of the actor's hidden layers.
+        critic: Sizes of the critic's hidden layers.
         activation: ``elu``, ``relu``, ``tanh`` or ``silu``.
-        init_std: Standard deviation of the actions at the start, in units of the action scale.
-        min_std: Lowest standard deviation that learning may reach.
-        max_std: Highest.
-        normalize: Normalise observations by their running mean and deviation, inside the networks.
+        init_std: Initial standard deviation of the actions, in units of the action scale.
+        min_std: Lower bound of the standard deviation.
+        max_std: Upper bound of the standard deviation.
+        normalize: Normalize observations by their running mean and deviation, inside the networks.
         symmetric: Build the networks so that the mirror image of a state gives the mirror image of the action, and
             the same value.
     """
@@ -35,7 +35,7 @@ class NetworkConfig:
     symmetric: bool
 
     def validate(self, where: str = "network") -> None:
-        """Raise `ConfigError` for sizes that cannot be built."""
+        """Raise `ConfigError` if a setting cannot be used."""
         for name in ("actor", "critic"):
             sizes = getattr(self, name)
             if not sizes or min(sizes) < 1:

@@ -5,29 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-
-
-class _AddAndSubtract(torch.autograd.Function):
-    """``(a + b, a - b)`` with a backward pass that does not negate a gradient before it adds it."""
-
-    @staticmethod
-    def forward(ctx: Any, a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-        return a + b, a - b
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor]:
-        return gradients[0] + gradients[1], gradients[0] - gradients[1]
-
-
-def add_and_subtract(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the sum and the difference of two tensors of one shape."""
-    both: tuple[Tensor, Tensor] = _AddAndSubtract.apply(a, b)
-    return both
 
 
 class Reflection(nn.Module):
@@ -209,8 +190,9 @@ class EquivariantMLP(nn.Sequential):
         even_size = layers[0].before.even_size
         even, odd = parts[..., :even_size], parts[..., even_size:]
         for layer, activation in zip(layers, activations):
-            units, images = map(activation, add_and_subtract(*layer.forward_even_odd(even, odd)))
-            even, odd = add_and_subtract(units, images)
+            even, odd = layer.forward_even_odd(even, odd)
+            units, images = activation(even + odd), activation(even - odd)
+            even, odd = units + images, units - images
         # The last layer has few outputs: splitting it would save nothing.
         outputs: Tensor = layers[-1](torch.cat((units, images), -1))
         return outputs
