@@ -185,6 +185,7 @@ class EquivariantMLP(nn.Sequential):
 
     def forward_even_odd(self, parts: Tensor) -> Tensor:
         """Map ``[..., inputs]`` values, as `to_even_odd` returns them, to ``[..., outputs]``."""
+        # benchmarks/learner_parts.py: with the layers' plain forward passes a PPO update takes 1.18 to 1.22 x the time.
         layers = self._layers()
         activations = [module for module in self if not isinstance(module, EquivariantLinear)]
         even_size = layers[0].before.even_size

@@ -9,8 +9,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from skatemount.runs.checkpoint import POLICY_FILE, PolicyCard, save_policy
@@ -69,7 +71,18 @@ def test_figure_is_drawn(script: ModuleType, tmp_path: Path) -> None:
 
     curves = {"auto": [curve(0.9), curve(0.8)], "paper": [curve(0.3)], "forward": []}
     script.draw(curves, 800, tmp_path / "a.png")
-    assert imread(tmp_path / "a.png").std() > 0.05
+    pixels = imread(tmp_path / "a.png")[:, :, :3]
+    auto, paper, forward = (np.abs(pixels - to_rgb(color)).max(-1) < 0.02 for color, _ in script.LINES)
+    assert not forward.any()
+    # A panel for each suite, each with both curves; the better one ends higher.
+    height, width = auto.shape
+    for rows in (slice(0, height // 2), slice(height // 2, height)):
+        for columns in (slice(0, width // 2), slice(width // 2, width)):
+            a, p = auto[rows, columns], paper[rows, columns]
+            assert a.sum() > 100 and p.sum() > 100
+            # On the right of the panel, where there is no legend.
+            highest = [int(np.flatnonzero(each[:, width // 4 :].any(1))[0]) for each in (a, p)]
+            assert highest[0] < highest[1] - height // 20
 
 
 @pytest.mark.slow

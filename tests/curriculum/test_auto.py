@@ -8,6 +8,7 @@ from pathlib import Path
 import defaults
 import pytest
 import torch
+from matplotlib.image import imread
 
 from skatemount.config import compose
 from skatemount.curriculum.auto import AutoCurriculum
@@ -105,8 +106,12 @@ def test_without_free_boards_all_starts_are_beside_fixed_ones(tmp_path: Path) ->
     place = auto.sample_poses(200, torch.Generator().manual_seed(0))
     assert place.board_fixed.all() and place.from_stage_ranges is not None and 0 < place.from_stage_ranges.sum() < 200
     assert not [name for name in auto.metrics() if name.endswith("_free")]
+    # The picture has a row of panels for fixed boards, and none for free ones.
     auto.draw(tmp_path / "fixed.png", "fixed boards")
-    assert (tmp_path / "fixed.png").stat().st_size > 1000
+    both = curriculum()
+    both.draw(tmp_path / "both.png", "fixed and free boards")
+    one_row, two_rows = (imread(tmp_path / f"{name}.png").shape for name in ("fixed", "both"))
+    assert (2 * one_row[0], one_row[1]) == two_rows[:2]
 
 
 def test_solved_bins_are_practised_less_than_the_frontier_but_still_practised() -> None:
