@@ -1,4 +1,4 @@
-"""Whether no operation of a training mixes tensors of its device with some of the CPU, without a GPU."""
+"""No operation of a training mixes tensors of its device with tensors of the CPU; tested without a GPU."""
 
 from __future__ import annotations
 

@@ -26,8 +26,8 @@ class EpisodeRecords:
         start: ``[N, 3]`` initial x, y and yaw of the trunk in the board's frame, m and rad.
         board_fixed: ``[N]`` bool.
         success: ``[N]`` bool.
-        end: ``[N]`` int64, 0 for the time limit, i for the i-th of `skatemount.envs.mdp.Mdp.termination_names`. If several
-            were true in the last step, it is the first of them.
+        end: ``[N]`` int64, 0 for the time limit, i for the i-th of `skatemount.envs.mdp.Mdp.termination_names`. If
+            several were true in the last step, it is the first of them.
         duration: ``[N]`` s.
         mount_time: ``[N]`` time from the first contact with the deck to standing on it, s; nan for failures and for
             tasks without mounting.

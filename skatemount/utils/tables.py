@@ -21,7 +21,7 @@ def rendered(made: Table) -> str:
     """Return a table as lines of text, without colors and without spaces at the end of a line."""
     # Wide enough for any row: a pipe has no width, and neither commands nor numbers may be cut.
     text = io.StringIO()
-    console = Console(file=text, width=160, no_color=True)
+    console = Console(file=text, width=160, color_system=None)
     console.print(made)
     lines = [line.rstrip() for line in text.getvalue().splitlines()]
     return "\n".join(lines).strip("\n")

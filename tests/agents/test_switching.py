@@ -1,4 +1,4 @@
-"""Two policies that take turns: who acts, and what is said when they cannot be put together."""
+"""Two policies that take turns: the one that acts, and the errors for policies that do not fit together."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from skatemount.utils.errors import ConfigError
 
 
 class Always:
-    """A policy with one action, which sees a number of values."""
+    """A policy with one constant action, for observations of one size."""
 
     def __init__(self, value: float, size: int):
         self.value, self.size = value, size
@@ -33,7 +33,7 @@ class Always:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Policies that fit each other, one that sees more and one that sees less."""
+    """Save two policies that fit each other, one that reads more and one that reads less."""
     folder = tmp_path_factory.mktemp("policies")
     observations = {"walk": "default", "mount": "default", "past": "history", "blind": "compact"}
     for seed, (name, observation) in enumerate(observations.items()):
@@ -63,17 +63,17 @@ def test_the_nearer_the_board_the_later_policy(make_env) -> None:
         return act(seen.clone())["action"][:, 0].tolist()
 
     assert acting(2.0, 0.61, 0.59, 0.1) == [1, 1, 2, 2]
-    # Whoever has taken over keeps its turn for a while; who has not does not.
+    # Within the margin, the policy that acts keeps acting.
     between = 0.6 + MARGIN / 2
     assert acting(between, between, between, between) == [1, 1, 2, 2]
     assert acting(0.5, 2.0, 2.0, 0.3) == [2, 1, 1, 2]
-    # Each evaluation round begins anew.
+    # An actor for another round starts with the walking policy again.
     act = policy.actor_in(env)
     assert acting(between, between, between, between) == [1, 1, 1, 1]
 
 
 @pytest.mark.parametrize(("first", "second"), [("walk", "mount"), ("walk", "past"), ("blind", "mount")])
-def test_a_pipeline_is_tried_as_one_policy(folder: Path, first: str, second: str) -> None:
+def test_a_pipeline_is_evaluated_as_one_policy(folder: Path, first: str, second: str) -> None:
     asked = [
         f"pipeline={pair(folder, first, second)}",
         "suite=approach-unfixed",
@@ -89,7 +89,7 @@ def test_a_pipeline_is_tried_as_one_policy(folder: Path, first: str, second: str
     def energy(tried: EvaluationTask) -> list[float]:
         return tried.evaluate(4).records.energy.tolist()
 
-    # Without noise, which depends on how many values are seen, robots do alike whatever else the other policy sees.
+    # Without noise, whose random numbers depend on the size of the observation, the robots do the same.
     alone = [
         EvaluationTask.of(TrainedPolicy.load(str(folder / f"{n}.safetensors")), trial().suite, trial().overrides)
         for n in (first, second)
@@ -120,11 +120,11 @@ def test_mistakes_are_one_line(spec: str, said: str) -> None:
     assert said in str(error.value) and "\n" not in str(error.value)
 
 
-def test_the_walking_policy_must_not_see_more(folder: Path) -> None:
+def test_the_walking_policy_must_not_read_more(folder: Path) -> None:
     with pytest.raises(ConfigError, match=r"it reads observation.command \(size=3.*blind.safetensors gives nothing"):
         SwitchingAgent.load_pair(pair(folder, "walk", "blind"), 0.6)
 
 
-def test_handover_is_a_distance() -> None:
+def test_switch_distance_is_positive() -> None:
     with pytest.raises(ConfigError, match="switch_distance=-1.0 must be above 0"):
         compose_program("evaluate", ["switch_distance=-1"])

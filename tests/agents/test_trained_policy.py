@@ -1,4 +1,4 @@
-"""Policies loaded with their configuration, and the contract between a policy and a task."""
+"""Policies loaded with their settings, and the interface between a policy and a task."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_loads_what_was_saved(config: Config, task: MountTask, tmp_path: Path) -
     saved, loaded = networks.state_dict(), agent.networks.state_dict()
     assert saved.keys() == loaded.keys()
     assert all(torch.equal(saved[key], loaded[key]) for key in saved)
-    # The actor and the list of normalisers share theirs, after loading as before.
+    # The actor and the list of normalizers share a normalizer, before loading and after it.
     assert agent.networks.normalizers[0].count == 50
     check_interface(agent.card, task)
 
@@ -90,7 +90,7 @@ def test_a_task_that_differs_is_named(config: Config, task: MountTask, override:
     assert "\n" not in str(error.value)
 
 
-def test_what_is_no_part_of_the_contract_may_differ(config: Config, task: MountTask) -> None:
+def test_what_is_no_part_of_the_interface_may_differ(config: Config, task: MountTask) -> None:
     other = compose("unfixed", [*TINY, "observation=compact", "board=longboard", "robot.kp=25"])
     other.observation.noise = False
     check_interface(make_policy_card(config, task, frames=0), MountTask(config=other))

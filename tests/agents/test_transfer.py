@@ -1,4 +1,4 @@
-"""Policies that are grown into larger networks, or ones that see more: they do what they did."""
+"""Policies that are expanded into larger networks or longer observations act as before."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SMALL = [*TINY, *SILENT, "init_from=null", "network.actor=[16,8]", "network.crit
 
 @pytest.fixture(scope="module", params=["true", "false"], ids=["symmetric", "plain"])
 def small(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> TrainedPolicy:
-    """A policy that has learnt a little, and its normalisers with it."""
+    """Train a policy, and its normalizers, for a short time."""
     root = tmp_path_factory.mktemp("small")
     more = [f"network.symmetric={request.param}", "total_frames=128", f"logger.root={root}"]
     trainer = Trainer(compose("mount", [*SMALL, *more]), [])
@@ -73,7 +73,7 @@ def test_does_what_it_did(small: TrainedPolicy, tmp_path: Path, overrides: list[
         torch.testing.assert_close(got, due, rtol=1e-4, atol=1e-5)
     assert float(before[0].std()) > 0 and float(before[2].std()) > 0
 
-    # What is new can be learnt: its weights have a gradient.
+    # New inputs can be learned: its weights have a gradient.
     if new:
         at = 0
         for part in observation_layout(trainer.task):

@@ -1,4 +1,4 @@
-"""The scripts under `benchmarks/` run and print what they say; never how fast anything is."""
+"""The scripts under `benchmarks/` run and print what they promise; no test depends on a speed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The comparison of curricula: which checkpoints count, what is written, and that nothing is done twice."""
+"""The comparison of curricula: the checkpoints that count, the files, and that nothing is done twice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The automatic curriculum opens outwards from the goal, and only as it is solved."""
+"""The automatic curriculum opens outwards from the goal, and only next to solved bins."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def curriculum(**settings: object) -> AutoCurriculum:
 
 
 def finish(auto: AutoCurriculum, bins: torch.Tensor, good: bool) -> None:
-    """Let one episode of each of these bins end."""
+    """End one episode of each of these bins."""
     n = len(bins)
     episode = EpisodeState.zeros(n)
     episode.bin = bins
@@ -52,7 +52,7 @@ def test_begins_at_the_goal() -> None:
     assert place.step_height.max() <= auto.config.heights[0]
 
 
-def test_failure_opens_nothing_and_success_opens_the_neighbours() -> None:
+def test_failure_opens_nothing_and_success_opens_the_neighbors() -> None:
     auto = curriculum()
     before = auto.opened.clone()
     finish(auto, torch.zeros(200, dtype=torch.int64), good=False)
@@ -67,7 +67,7 @@ def test_failure_opens_nothing_and_success_opens_the_neighbours() -> None:
 
 
 def test_opens_on_every_side() -> None:
-    """Where a bin is solved that others could not lead to, the way goes back inwards as well."""
+    """A solved bin also opens its neighbors closer to the goal."""
     auto = curriculum()
     middle = torch.arange(auto.opened.numel()).view(auto.shape)[2, 1, 1, 1, 0]
     auto.opened[:] = False
@@ -114,7 +114,7 @@ def test_without_free_boards_all_starts_are_beside_fixed_ones(tmp_path: Path) ->
     assert (2 * one_row[0], one_row[1]) == two_rows[:2]
 
 
-def test_solved_bins_are_practised_less_than_the_frontier_but_still_practised() -> None:
+def test_solved_bins_are_practiced_less_than_the_frontier_but_still_practiced() -> None:
     auto = curriculum()
     for _ in range(3):
         finish(auto, torch.zeros(200, dtype=torch.int64), good=True)
@@ -142,7 +142,7 @@ def test_a_lower_step_is_outgrown_where_the_full_one_is_solved() -> None:
     assert (auto.weights() > 0).all()
 
 
-def test_a_fixed_board_is_practised_less_where_the_free_one_is_solved() -> None:
+def test_a_fixed_board_is_practiced_less_where_the_free_one_is_solved() -> None:
     auto = curriculum()
     auto.opened[:] = True
     auto.episodes[:], auto.successes[:] = 40.0, 32.0  # all solved, all alike

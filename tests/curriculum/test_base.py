@@ -1,4 +1,4 @@
-"""A curriculum of one's own is one class, named by the settings."""
+"""A user's own curriculum is one class, named by the settings."""
 
 from __future__ import annotations
 

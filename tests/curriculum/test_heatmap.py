@@ -1,4 +1,4 @@
-"""The picture of the automatic curriculum shows what is open, and changes with it."""
+"""The heat map of the automatic curriculum shows open, solved and resting bins."""
 
 from __future__ import annotations
 

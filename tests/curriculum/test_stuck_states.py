@@ -1,4 +1,4 @@
-"""Half-mounted states of rollouts become starts: the same state, with the board where boards start."""
+"""Half-mounted states of rollouts become initial states, with the board at its usual initial pose."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STARTS = ["start.x=[-0.2,0.2]", "start.y=[-0.2,0.2]", "start.yaw=[-3,3]", "start
 
 
 def fidget(env: MountEnv, steps: int = 6) -> None:
-    """Small random movements about the stance."""
+    """Step with small random actions around the default pose."""
     seen = env.reset()
     for i in range(steps):
         generator = torch.Generator().manual_seed(i)

@@ -1,4 +1,4 @@
-"""Records of episodes that never were."""
+"""Made-up records of episodes."""
 
 from __future__ import annotations
 
@@ -33,5 +33,5 @@ def _records(n: int, **values: Any) -> EpisodeRecords:
 
 @pytest.fixture
 def make_records() -> Callable[..., EpisodeRecords]:
-    """`make_records(n, **fields)`: episodes that all failed by not being mounted but for what the fields say."""
+    """Return `make_records(n, **fields)`: failed episodes, not mounted at the time limit, with the given fields."""
     return _records

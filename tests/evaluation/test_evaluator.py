@@ -1,4 +1,4 @@
-"""Evaluation of a policy, with an untrained one: it keeps the default pose, and so stands or falls."""
+"""Evaluation of an untrained policy, which keeps the default pose and stands or falls."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def evaluate(networks: ActorCritic, config: Config, episodes: int, worlds: int, 
 
 
 def first_verdicts(config: Config, networks: ActorCritic, worlds: int, seed: int) -> list[bool]:
-    """What the environment says at the end of each world's first episode."""
+    """Return the environment's verdict at the end of each world's first episode."""
     env = MountEnv(MountTask(config=config), num_worlds=worlds, seed=mix_seeds(seed, 0))
     verdicts: dict[int, bool] = {}
     seen = env.reset()
@@ -149,7 +149,7 @@ def test_progress_counts_to_the_end(mixed: tuple[Config, ActorCritic]) -> None:
     assert calls[0] == (0, total) and calls[-1] == (total, total) and (5, total) in calls
 
 
-def test_lost_contacts_are_an_error_even_of_a_world_that_has_started_anew(mixed: tuple[Config, ActorCritic]) -> None:
+def test_lost_contacts_are_an_error_even_of_a_world_that_has_been_reset(mixed: tuple[Config, ActorCritic]) -> None:
     config, networks = mixed
     evaluator = Evaluator(config, 4)
     evaluator.env.physics._batch.warning[1, int(mujoco.mjtWarning.mjWARN_CONTACTFULL), 1] = 1

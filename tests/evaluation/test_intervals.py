@@ -1,4 +1,4 @@
-"""Wilson's interval."""
+"""Wilson's interval of a success rate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is counted in an episode, on constructed states."""
+"""Measurements of an episode, on constructed states."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STEPS = 15  # 1.5 s, of which the last 10 steps count for the feet
 
 
 def sim(foot_speed: list[float], board: float = 0.0, torque: float = 0.0, speed: float = 0.0) -> Any:
-    """State that a tracker reads, of two worlds that are alike."""
+    """Return a state with the fields that the tracker reads, for two equal worlds."""
     velocity = torch.zeros(2, 4, 3)
     velocity[..., 1] = torch.tensor(foot_speed)
     return SimpleNamespace(
@@ -31,7 +31,7 @@ def sim(foot_speed: list[float], board: float = 0.0, torque: float = 0.0, speed:
 
 
 class Script:
-    """An environment of two worlds that shows what it is told."""
+    """An environment of two worlds with given states."""
 
     num_worlds = 2
 
@@ -43,7 +43,7 @@ class Script:
         self.tracker.begin()
 
     def step(self, state: Any, feet: int = 4, ended: int | None = None, failed: bool = False) -> None:
-        """World 1 ends by the second termination, or by failed physics, if `ended` is 1; both if it is 2."""
+        """Take a step; with `ended`, world 1 ends by the second termination, or by failed physics."""
         self.sim = state
         self.episode.step = self.episode.step + 1
         self.episode.on_deck = (torch.arange(4) < feet).expand(2, 4)
@@ -78,8 +78,8 @@ def test_slips_are_counted_when_they_begin() -> None:
     script = Script()
     for speeds, feet in (
         ([0.3, 0.0, 0.0, 0.0], 4),  # one
-        ([0.3, 0.4, 0.0, 0.0], 4),  # goes on, and another
-        ([0.0, 0.4, 0.0, 0.9], 3),  # goes on; the fourth foot is in the air
+        ([0.3, 0.4, 0.0, 0.0], 4),  # continues, and another begins
+        ([0.0, 0.4, 0.0, 0.9], 3),  # continues; the fourth foot is in the air
         ([0.0, 0.0, 0.0, 0.9], 4),  # it lands sliding: a third
         ([0.3, 0.0, 0.0, 0.0], 4),  # the first foot again: a fourth
     ):
@@ -87,7 +87,7 @@ def test_slips_are_counted_when_they_begin() -> None:
     assert finish(script).slips.tolist() == [4, 4]
 
 
-def test_an_episode_that_has_ended_is_not_looked_at_any_more() -> None:
+def test_an_episode_that_has_ended_is_not_measured_any_more() -> None:
     script = Script()
     busy = dict(torque=1.0, speed=1.0)
     script.step(sim([0.0] * 4, board=0.1, **busy))

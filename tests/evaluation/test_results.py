@@ -1,4 +1,4 @@
-"""What an evaluation's episodes amount to, as numbers, JSON and text."""
+"""Results of an evaluation as numbers, JSON and text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The picture of where a policy succeeds."""
+"""The success map: rates by position, and the picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which tasks a policy is tried in."""
+"""The settings that a policy is evaluated in, and suites with variants and members."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def policy() -> Config:
 
 
 def test_without_suite_it_is_what_the_policy_was_trained_in(policy: Config) -> None:
-    trial, expected = to_dict(evaluation_config(policy, None)), to_dict(policy)
+    config, expected = to_dict(evaluation_config(policy, None)), to_dict(policy)
     # Except for what belongs to the machine.
     expected["physics"] |= {"threads": 0, "num_worlds": NUM_WORLDS, "device": "auto", "max_contacts": 48}
-    assert trial == expected
+    assert config == expected
 
 
 def suite(stage: str, *overrides: str, **more: Any) -> SuiteConfig:
@@ -50,32 +50,32 @@ def suite(stage: str, *overrides: str, **more: Any) -> SuiteConfig:
 
 
 def test_a_suite_sets_the_task_and_keeps_what_is_the_policys(policy: Config) -> None:
-    trial, stage = evaluation_config(policy, suite("unfixed")), compose("unfixed")
-    assert (trial.start, trial.board, trial.reward) == (stage.start, stage.board, stage.reward)
-    assert (trial.episode_length, trial.stage.name) == (6.0, "unfixed")
-    assert (trial.robot, trial.observation) == (policy.robot, policy.observation)
-    assert (trial.network, trial.physics.timestep) == (policy.network, 0.005)
-    assert trial.physics.threads == 0
+    config, stage = evaluation_config(policy, suite("unfixed")), compose("unfixed")
+    assert (config.start, config.board, config.reward) == (stage.start, stage.board, stage.reward)
+    assert (config.episode_length, config.stage.name) == (6.0, "unfixed")
+    assert (config.robot, config.observation) == (policy.robot, policy.observation)
+    assert (config.network, config.physics.timestep) == (policy.network, 0.005)
+    assert config.physics.threads == 0
 
 
 def test_the_user_has_the_last_word_then_the_variant_then_the_suite(policy: Config) -> None:
     changes = ["board=longboard", "episode_length=10", "start.x=[0,1]", "termination.tilt.params.degrees=9"]
     test = suite("unfixed", *changes)
-    trial = evaluation_config(policy, test, ["start.x=[0,2]", "board.mass=4.5"], variant=["board.deck_width=0.3"])
-    assert (trial.episode_length, trial.start.x, trial.start.y) == (10.0, [0.0, 2.0], [0.5, 1.0])
-    assert (trial.board.deck_length, trial.board.deck_width, trial.board.mass) == (1.0, 0.3, 4.5)
-    assert trial.termination["tilt"].params["degrees"] == 9
+    config = evaluation_config(policy, test, ["start.x=[0,2]", "board.mass=4.5"], variant=["board.deck_width=0.3"])
+    assert (config.episode_length, config.start.x, config.start.y) == (10.0, [0.0, 2.0], [0.5, 1.0])
+    assert (config.board.deck_length, config.board.deck_width, config.board.mass) == (1.0, 0.3, 4.5)
+    assert config.termination["tilt"].params["degrees"] == 9
     # The suite's board is replaced, not mixed with the user's.
     assert evaluation_config(policy, test, ["board=mini"]).board == compose(None, ["board=mini"]).board
 
 
 def test_overrides_come_on_top_setting_by_setting(policy: Config) -> None:
     overrides = ["start.y=[0.1,0.2]", "physics.threads=1", "physics.num_worlds=9", "~reward.alive"]
-    trial = evaluation_config(policy, None, overrides)
-    assert (trial.start.y, trial.start.x) == ([0.1, 0.2], [-0.01, 0.01])
-    assert (trial.physics.threads, trial.physics.num_worlds) == (1, 9)
-    assert "alive" not in trial.reward
-    assert trial.robot.kp == 28
+    config = evaluation_config(policy, None, overrides)
+    assert (config.start.y, config.start.x) == ([0.1, 0.2], [-0.01, 0.01])
+    assert (config.physics.threads, config.physics.num_worlds) == (1, 9)
+    assert "alive" not in config.reward
+    assert config.robot.kp == 28
     # One that repeats a default counts too, where the policy's setting is another.
     assert evaluation_config(policy, None, ["robot.kp=35"]).robot.kp == 35
 
@@ -132,9 +132,9 @@ def prepare(path: Path, *overrides: str) -> list[EvaluationTask]:
     return EvaluationTask.prepare(compose_program("evaluate", asked), asked)
 
 
-def test_a_trial_knows_what_is_tried(path: Path) -> None:
-    (trial,) = prepare(path, "suite=mount-fixed", "start.x=[0,0]", "episodes=7", "seed=4", "suite.seed=99")
-    described = trial.describe()
+def test_a_task_describes_itself(path: Path) -> None:
+    (task,) = prepare(path, "suite=mount-fixed", "start.x=[0,0]", "episodes=7", "seed=4", "suite.seed=99")
+    described = task.describe()
     assert (described["overrides"], described["seed"]) == (["start.x=[0,0]"], 4)
     assert (described["stage"], described["suite"], described["frames"]) == ("balance", "mount-fixed", 77)
     assert described["definition"]["version"] == 1 and described["definition"]["seed"] == 99
@@ -143,37 +143,37 @@ def test_a_trial_knows_what_is_tried(path: Path) -> None:
 
 
 def test_a_policy_that_does_not_fit_is_refused(path: Path) -> None:
-    (trial,) = prepare(path, "suite=mount-fixed", "robot.action_scale_hip=0.5")
+    (task,) = prepare(path, "suite=mount-fixed", "robot.action_scale_hip=0.5")
     with pytest.raises(ConfigError, match=f"checkpoint={path}: its actions have scale="):
-        trial.evaluate(1)
+        task.evaluate(1)
 
 
 def test_the_command_that_films_an_episode(path: Path) -> None:
-    (trial,) = prepare(path, "suite=rolling", "start.x=[0,0]", "episodes=7", "seed=4")
+    (task,) = prepare(path, "suite=rolling", "start.x=[0,0]", "episodes=7", "seed=4")
     expected = ["python", "-m", "skatemount.record", f"checkpoint={path}", "suite=rolling", "seed=4", "start.x=[0,0]"]
-    assert shlex.split(trial.record_command(12)) == [*expected, "episode=12"]
+    assert shlex.split(task.record_command(12)) == [*expected, "episode=12"]
 
 
-def test_a_suite_of_suites_is_a_trial_each(path: Path) -> None:
+def test_a_suite_of_suites_is_a_task_each(path: Path) -> None:
     trials = prepare(path, "suite=all", "suite.members=[far,low-friction]", "episode_length=2")
-    assert [trial.name for trial in trials] == ["far", "low-friction"]
-    assert {config.episode_length for trial in trials for config in trial.configs.values()} == {2.0}
+    assert [task.name for task in trials] == ["far", "low-friction"]
+    assert {config.episode_length for task in trials for config in task.configs.values()} == {2.0}
     assert list(trials[0].configs) == [""]
 
 
 def test_variants_take_turns_and_an_episode_is_the_same_however_many_there_are(path: Path) -> None:
     agent = TrainedPolicy.load(str(path))
     test = suite("balance", "episode_length=0.4", variants={"a": ["start.x=[0,0.01]"], "b": ["start.x=[-0.5,-0.4]"]})
-    trial = EvaluationTask.of(agent, test, ["physics.num_worlds=3", "physics.threads=1"])
+    task = EvaluationTask.of(agent, test, ["physics.num_worlds=3", "physics.threads=1"])
     shares: list[tuple[float, str]] = []
-    few, many = trial.evaluate(5, lambda *x: shares.append(x)), trial.evaluate(9)
+    few, many = task.evaluate(5, lambda *x: shares.append(x)), task.evaluate(9)
     assert few.records.number.tolist() == list(range(5))
     assert few.records.variant.tolist() == [0, 1, 0, 1, 0]
     assert {name: part.episodes for name, part in few.by_variant().items()} == {"a": 3, "b": 2}
     assert (few.records.start[1::2, 0] < -0.3).all() and (few.records.start[::2, 0] > -0.1).all()
     for name, values in vars(few.records).items():
         assert torch.equal(values, getattr(many.records, name)[:5]) or name == "mount_time", name
-    assert trial.variant_of(3) == ("b", 1)
+    assert task.variant_of(3) == ("b", 1)
     assert shares == sorted(shares) and shares[-1] == (1.0, "b")
     with pytest.raises(ConfigError, match="episodes=0"):
-        trial.evaluate(0)
+        task.evaluate(0)

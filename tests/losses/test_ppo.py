@@ -1,4 +1,4 @@
-"""PPO: advantages against a plain loop, the learning rate, safety, and that it learns."""
+"""PPO: advantages equal a plain loop's, the learning rate adapts, bad batches change nothing, and it learns."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def flags(n: int, t: int, share: float, generator: torch.Generator) -> Tensor:
 
 
 def collect(networks: ActorCritic, n: int = 16, t: int = 12, seed: int = 0, ends: float = 0.1) -> TensorDict:
-    """A batch as a collector yields it: a step's next state is the following step's state unless the episode ended."""
+    """Return a batch as a collector yields it: a step's next state is the following state unless the episode ended."""
     generator = torch.Generator().manual_seed(seed)
     torch.manual_seed(seed)
     terminated = flags(n, t, ends, generator)
@@ -133,7 +133,7 @@ def test_learning_rate_follows_the_kl_within_its_bounds() -> None:
 def test_kl_is_of_the_policies_before_and_after_the_batch() -> None:
     ppo = make(learning_rate=3e-3)
     batch = collect(ppo.networks)
-    # The normalisers take the batch into account first.
+    # The normalizers take the batch into account first.
     ppo.networks.observe(batch)
     before = copy.deepcopy(ppo.networks)
     ppo.networks.observe = lambda batch: None  # type: ignore[method-assign]
@@ -179,7 +179,7 @@ def test_without_a_compiler_the_setting_is_named(monkeypatch: pytest.MonkeyPatch
         ppo.update(collect(ppo.networks))
 
 
-def test_exploration_calms_down() -> None:
+def test_exploration_narrows() -> None:
     ppo = make(final_std=0.1, std_frames=1000)
     rows = collect(ppo.networks).flatten(0, 1)
 
@@ -194,7 +194,7 @@ def test_exploration_calms_down() -> None:
     for frames, bound in ((500, math.sqrt(config.max_std * 0.1)), (2000, 0.1)):
         ppo.step_schedules(frames, 10**9)
         assert deviation() == pytest.approx(config.min_std + share * (bound - config.min_std), rel=1e-5)
-    # A policy that is handed over keeps its calm.
+    # The bound of a loaded policy does not rise again.
     other = make(copy.deepcopy(ppo.networks), final_std=0.1, std_frames=1000)
     other.step_schedules(0, 10**9)
     assert deviation() == pytest.approx(config.min_std + share * (0.1 - config.min_std), rel=1e-5)
@@ -225,7 +225,7 @@ def test_steps_become_small_at_the_end() -> None:
         (dict(kl_anneal_fraction=1.5), r"algorithm\.kl_anneal_fraction=1\.5 must be a share of the frames, at most 1"),
     ],
 )
-def test_an_end_that_cannot_be_settled_is_refused(settings: dict[str, Any], message: str) -> None:
+def test_impossible_schedules_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         defaults.algorithm(**settings).validate()
 
@@ -237,7 +237,7 @@ def test_learning_rate_stays_without_a_target() -> None:
 
 
 def test_it_learns() -> None:
-    """Actions that are to be 0.5 everywhere, with a reward that says how far off they are."""
+    """The reward is the negative squared distance of the actions from a target."""
     ppo = make(learning_rate=5e-3, target_kl=None, epochs=2, entropy_coeff=0.0)
     target = torch.tensor([0.5, -0.5, 0.5, 0.5])
     rewards = []
@@ -280,7 +280,7 @@ def test_loss_that_is_not_finite_changes_no_weight() -> None:
     assert all(torch.equal(a, b) for a, b in zip(before, ppo.networks.parameters()))
 
 
-def test_goes_on_from_a_saved_state_bit_for_bit() -> None:
+def test_resumes_from_a_saved_state_bit_for_bit() -> None:
     order = torch.Generator().manual_seed(1)
     ppo = make(order=order, target_kl=1e3)
     ppo.update(collect(ppo.networks))
@@ -305,7 +305,7 @@ def test_bf16() -> None:
     assert not same(weights(ppo.networks), weights(exact.networks))  # it did round
 
 
-def test_gentle_start_changes_a_trained_policy_little() -> None:
+def test_the_lowest_learning_rate_changes_a_trained_policy_little() -> None:
     """Adam's first step at the full learning rate moved a trained policy by a KL of 5."""
 
     def first_kl(gently: bool) -> float:

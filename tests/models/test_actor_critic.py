@@ -55,7 +55,7 @@ def test_only_the_critic_sees_what_is_privileged() -> None:
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         assert torch.equal(networks.actor(one.clone())["action"], networks.actor(other.clone())["action"])
         assert not torch.equal(networks.critic(one.clone())["state_value"], networks.critic(other)["state_value"])
-        networks.actor(one.select("observation"))  # deployed, there is nothing else
+        networks.actor(one.select("observation"))  # deployed, there are no privileged observations
 
 
 def test_deterministic_actions_are_the_mean() -> None:
@@ -174,7 +174,7 @@ def test_without_normaliser() -> None:
 @pytest.mark.parametrize("symmetric", [False, True])
 @pytest.mark.parametrize("normalize", [False, True])
 def test_learners_do_what_actor_and_critic_do(symmetric: bool, normalize: bool) -> None:
-    """Where most of what is seen has a mirror image, so that its two parts are no mere copies of it."""
+    """Most inputs have a mirrored partner, so the even and odd parts differ from the inputs."""
     torch.manual_seed(0)
     swapped = torch.tensor([1, 0, 2, 4, 3, 5, 6, 8, 7]), torch.tensor([1.0, 1, -1, -1, -1, 1, 1, 1, 1])
     mirrors = Reflection(*swapped), Reflection(torch.arange(4), torch.tensor([1.0, -1, 1, -1])), Reflection.paired(12)

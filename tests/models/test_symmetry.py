@@ -15,19 +15,19 @@ from skatemount.losses.ppo import PPO
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.models.symmetry import EquivariantLinear, EquivariantMLP, Reflection
 
-SEEN = Reflection(torch.tensor([0, 2, 1, 3, 5, 4]), torch.tensor([1.0, -1, -1, 1, 1, 1]))
-HIDDEN = Reflection(torch.arange(3), torch.tensor([1.0, -1, 1]))
-ACTS = Reflection(torch.tensor([1, 0, 3, 2]), torch.tensor([-1.0, -1, 1, 1]))
+OBSERVATION = Reflection(torch.tensor([0, 2, 1, 3, 5, 4]), torch.tensor([1.0, -1, -1, 1, 1, 1]))
+PRIVILEGED = Reflection(torch.arange(3), torch.tensor([1.0, -1, 1]))
+ACTION = Reflection(torch.tensor([1, 0, 3, 2]), torch.tensor([-1.0, -1, 1, 1]))
 
 
 def make(symmetric: bool = True, seed: int = 0) -> ActorCritic:
     torch.manual_seed(seed)
     config = defaults.network(actor=[32, 16], critic=[32], symmetric=symmetric)
-    return ActorCritic(config, 6, 3, 4, (SEEN, HIDDEN, ACTS))
+    return ActorCritic(config, 6, 3, 4, (OBSERVATION, PRIVILEGED, ACTION))
 
 
 def experience(networks: ActorCritic, seed: int) -> TensorDict:
-    """Actions in one-step episodes with a reward that tells left from right."""
+    """Return one-step episodes with a reward that differs between left and right."""
     torch.manual_seed(seed)
     n, t = 64, 8
     batch = TensorDict(batch_size=[n, t])
@@ -43,15 +43,20 @@ def experience(networks: ActorCritic, seed: int) -> TensorDict:
 
 
 def asymmetry(networks: ActorCritic) -> tuple[float, float, float]:
-    """Largest difference between the image of what is done and what is done in the image: means, deviations, values."""
+    """Return the largest differences between the outputs for reflected states and the reflected outputs.
+
+    They are those of the actions' means, their standard deviations, and the values.
+    """
     torch.manual_seed(99)
     batch = TensorDict({"observation": torch.randn(50, 6) + 1, "privileged": torch.randn(50, 3) + 1}, [50])
-    image = TensorDict({"observation": SEEN(batch["observation"]), "privileged": HIDDEN(batch["privileged"])}, [50])
+    image = TensorDict(
+        {"observation": OBSERVATION(batch["observation"]), "privileged": PRIVILEGED(batch["privileged"])}, [50]
+    )
     with torch.no_grad():
         a, b = (networks.actor.get_dist(rows).base_dist for rows in (batch, image))
         v, w = (networks.critic(rows)["state_value"] for rows in (batch, image))
-    deviations = a.scale[:, ACTS.permutation] - b.scale
-    return float((ACTS(a.loc) - b.loc).abs().max()), float(deviations.abs().max()), float((v - w).abs().max())
+    deviations = a.scale[:, ACTION.permutation] - b.scale
+    return float((ACTION(a.loc) - b.loc).abs().max()), float(deviations.abs().max()), float((v - w).abs().max())
 
 
 def trained(networks: ActorCritic) -> ActorCritic:
@@ -71,19 +76,19 @@ def test_training_leaves_them_symmetric() -> None:
     assert min(asymmetry(trained(make(symmetric=False)))) > 1e-3
 
 
-def test_what_has_no_side_is_learnt_as_well() -> None:
-    """Half of the reward asks for two mirrored actions to differ: it cannot be followed; the third action can."""
+def test_a_reward_without_a_side_is_learned() -> None:
+    """Two mirrored actions cannot follow a reward that wants them to differ; the third action can follow its own."""
     after = trained(make())
     with torch.no_grad():
         means = after.actor.get_dist(experience(after, 50).flatten(0, 1)).base_dist.loc.mean(0)
     assert float(means[2]) > 0.1 < float(means[3])
 
 
-def test_normalisers_see_both_sides() -> None:
+def test_normalizers_observe_both_sides() -> None:
     networks = make()
     batch = experience(networks, 0)
     networks.observe(batch)
-    seen = torch.cat((batch["observation"], SEEN(batch["observation"]))).flatten(0, 1)
+    seen = torch.cat((batch["observation"], OBSERVATION(batch["observation"]))).flatten(0, 1)
     torch.testing.assert_close(networks.normalizers[0].mean, seen.mean(0))
     torch.testing.assert_close(networks.normalizers[0].var, seen.var(0, correction=0))
 
@@ -99,7 +104,7 @@ def test_weights_bring_their_mirror_images() -> None:
 
 @pytest.mark.parametrize("after", [Reflection.paired(8), Reflection.identity(8)])
 def test_layer_starts_as_wide_as_a_plain_one(after: Reflection) -> None:
-    """Where an input has a partner; a weight that is its own image keeps its full size."""
+    """The initial weights have the spread of a plain layer's, although each is a mean of two."""
     torch.manual_seed(0)
     size = 400
     plain = torch.nn.Linear(size, 8).weight.detach().std()
@@ -109,10 +114,10 @@ def test_layer_starts_as_wide_as_a_plain_one(after: Reflection) -> None:
     assert float(own / plain) == pytest.approx(1.0, rel=0.1)
 
 
-@pytest.mark.parametrize("after", [ACTS, Reflection.identity(1)])
+@pytest.mark.parametrize("after", [ACTION, Reflection.identity(1)])
 def test_even_and_odd_parts_give_what_whole_layers_give(after: Reflection) -> None:
     torch.manual_seed(0)
-    mlp = EquivariantMLP(SEEN, after, [8, 4], torch.nn.ELU)
+    mlp = EquivariantMLP(OBSERVATION, after, [8, 4], torch.nn.ELU)
     x, y = torch.randn(2, 50, 6, requires_grad=True), torch.randn(2, 50, len(after.signs))
     expected = nn.Sequential.forward(mlp, x)
     torch.testing.assert_close(mlp(x), expected)
@@ -124,11 +129,11 @@ def test_even_and_odd_parts_give_what_whole_layers_give(after: Reflection) -> No
 def test_a_copy_takes_the_mirror_images_that_it_is_given() -> None:
     plain = Reflection(torch.arange(4), torch.ones(4))
     copied = copy.deepcopy(plain)
-    copied.load_state_dict(ACTS.state_dict())
-    assert (plain.even_size, copied.even_size) == (4, ACTS.even_size)
+    copied.load_state_dict(ACTION.state_dict())
+    assert (plain.even_size, copied.even_size) == (4, ACTION.even_size)
 
 
-@pytest.mark.parametrize("mirror", [SEEN, HIDDEN, ACTS, Reflection.paired(6), Reflection.identity(3)])
+@pytest.mark.parametrize("mirror", [OBSERVATION, PRIVILEGED, ACTION, Reflection.paired(6), Reflection.identity(3)])
 def test_parts_of_a_vector_are_its_even_and_its_odd_part(mirror: Reflection) -> None:
     torch.manual_seed(0)
     x, w = torch.randn(2, 5, len(mirror.signs))
