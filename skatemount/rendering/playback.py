@@ -151,7 +151,7 @@ def _first_success(trial: EvaluationTask) -> Episode:
             tape = _Tape(evaluator, slice(0, count))
             records = trial.numbered(variant, evaluator.round(trial.agent.policy, 0, tape.note)[:count])
             played.append(records)
-            ends = evaluator.ends
+            ends = evaluator.end_names
             rows = records.success.nonzero().flatten().tolist()
             for row in rows[:1]:
                 if found is None or int(records.number[row]) < found.number:
