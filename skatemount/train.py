@@ -50,12 +50,10 @@ def train(config: Config, overrides: list[str]) -> None:
 def main() -> None:
     """Run the program."""
     from skatemount.rendering import opengl
-    from skatemount.utils import memory
 
     opengl.disable()
-    # Only now: importing the configuration imports dm_control, which looks for a display otherwise.
-    with memory.lasting_objects():
-        from skatemount import cli
+    # Only now: composing the settings may import dm_control, which would look for a display.
+    from skatemount import cli
 
     cli.run(train, "train")
 

@@ -16,6 +16,7 @@ from skatemount.agents.policy import Policy
 from skatemount.config import Config
 from skatemount.envs.task import MountTask
 from skatemount.models.actor_critic import ActorCritic
+from skatemount.models.normalization import is_old_count
 from skatemount.runs.checkpoint import PolicyCard, load_policy
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.provenance import package_versions
@@ -115,7 +116,7 @@ def load_weights(networks: ActorCritic, modules: Mapping[str, Mapping[str, Tenso
         if key not in own or key not in saved:
             state = "unknown" if key not in own else "missing"
             raise ConfigError(f"{where}: weight {key} is {state}; its network settings do not fit")
-        if saved[key].shape != own[key].shape:
+        if saved[key].shape != own[key].shape and not is_old_count(key, saved[key]):
             raise ConfigError(
                 f"{where}: weight {key} has shape {list(saved[key].shape)}, "
                 f"the network here needs {list(own[key].shape)}"

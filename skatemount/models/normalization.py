@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -9,42 +11,38 @@ from skatemount.models.symmetry import Reflection
 
 
 class RunningNormalizer(nn.Module):
-    """Normalises by running mean and deviation, kept as buffers so that they are saved and exported with the network.
+    """Normalization by running mean and deviation, kept as buffers so that they are saved with the network.
 
-    Chan, Golub and LeVeque's update for batches (1983).
+    The update for batches is that of Chan, Golub and LeVeque, "Algorithms for computing the sample variance" (1983).
 
     Args:
-        size: Values.
-        clip: Bound on the normalised values.
+        size: Number of features.
+        clip: Bound on the normalized values.
 
     Attributes:
-        mean: ``[size]``.
-        var: ``[size]``.
-        count: How many of each value it has seen.
-        behind: ``[size]``, how many fewer it has seen of a value that came later, with `inherit`. It matters in
-            training only, and is not saved with the network.
+        mean: ``[size]`` float32.
+        var: ``[size]`` float32.
+        count: ``[size]`` float64, samples seen of each feature. Features that were added to a policy have seen fewer.
     """
 
     mean: Tensor
     var: Tensor
     count: Tensor
-    behind: Tensor
 
     def __init__(self, size: int, clip: float = 10.0):
         super().__init__()
         self._clip = clip
         self.register_buffer("mean", torch.zeros(size))
         self.register_buffer("var", torch.ones(size))
-        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
-        self.register_buffer("behind", torch.zeros(size, dtype=torch.float64), persistent=False)
+        self.register_buffer("count", torch.zeros(size, dtype=torch.float64))
 
     @torch.no_grad()
     def observe(self, values: Tensor, mirror: Reflection | None = None) -> None:
-        """Take values into account.
+        """Update the statistics with a batch.
 
         Args:
             values: ``[..., size]``.
-            mirror: Their mirror images are taken into account, too, if it is given.
+            mirror: If given, the batch's mirror image counts as well.
         """
         flat = values.flatten(0, -2)
         n = flat.shape[0]
@@ -52,32 +50,43 @@ class RunningNormalizer(nn.Module):
         mean = flat.mean(0)
         var = (flat - mean).square_().mean(0)
         if mirror is not None:
-            # The images have the image of the mean, and the variances in another order: no need to make them.
+            # The images have the image of the mean, and the same variances in another order: no need to compute them.
             n, image = 2 * n, mirror(mean)
             var = (var + var[mirror.permutation]) / 2 + ((mean - image) / 2).square()
             mean = (mean + image) / 2
         self.count.add_(n)
-        share = (n / (self.count - self.behind)).to(mean.dtype)
+        share = (n / self.count).to(mean.dtype)
         shift = mean - self.mean
         self.var.copy_(self.var * (1 - share) + var * share + shift.square() * share * (1 - share))
         self.mean.add_(shift * share)
 
     @torch.no_grad()
     def inherit(self, other: RunningNormalizer, places: Tensor) -> None:
-        """Continue another one's statistics, as those of the values at the given places, ``[other's size]``.
+        """Continue the statistics of another normalizer.
 
-        All other values begin with what is observed next: the other one's count would hold them where they are.
+        Args:
+            other: The other normalizer.
+            places: ``[other's size]`` int64, where its features are among these. All other features start from zero
+                samples, so that the first batch sets their mean and deviation.
         """
-        self.mean[places], self.var[places] = other.mean, other.var
-        self.count.copy_(other.count)
-        self.behind.copy_(other.count.expand_as(self.behind))
-        self.behind[places] = other.behind
+        self.count.zero_()
+        self.mean[places], self.var[places], self.count[places] = other.mean, other.var, other.count
 
     def reset_statistics(self) -> None:
-        """Let what is observed next replace what was observed so far, instead of adding to it."""
+        """Forget all samples, so that the next batch replaces the statistics."""
         self.count.zero_()
-        self.behind.zero_()
 
     def forward(self, values: Tensor) -> Tensor:
-        """``[..., size]`` to the same, with mean 0 and deviation 1, clipped."""
+        """Return ``[..., size]`` values normalized to mean 0 and deviation 1, and clipped."""
         return ((values - self.mean) * torch.rsqrt(self.var + 1e-4)).clamp(-self._clip, self._clip)
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
+        key = f"{prefix}count"
+        if key in state_dict and is_old_count(key, state_dict[key]):
+            state_dict[key] = state_dict[key].expand_as(self.count)
+        super()._load_from_state_dict(state_dict, prefix, *args)
+
+
+def is_old_count(key: str, saved: Tensor) -> bool:
+    """Return whether a saved tensor is one count for all features, which is what older versions saved."""
+    return key.rpartition(".")[2] == "count" and saved.ndim == 0

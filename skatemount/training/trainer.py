@@ -11,7 +11,6 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
 from torchrl.collectors import Collector
 
 from skatemount import config as configuration
@@ -29,7 +28,6 @@ from skatemount.evaluation.evaluator import EVALUATION_SEED, NUM_WORLDS, Evaluat
 from skatemount.evaluation.results import Evaluation
 from skatemount.losses.ppo import PPO
 from skatemount.models.actor_critic import ActorCritic
-from skatemount.models.normalization import RunningNormalizer
 from skatemount.models.symmetry import Reflection
 from skatemount.runs import checkpoint
 from skatemount.runs.folder import RunFolder
@@ -146,8 +144,8 @@ class Trainer:
                 "init_from"
             )
         self.networks.load_state_dict(state["networks"])
-        for behind, saved in zip(self._behind(), state.get("behind", [])):
-            behind.copy_(saved)
+        for normalizer, behind in zip(self.networks.normalizers, state.get("behind", [])):
+            normalizer.count -= behind
         self.ppo.load_state_dict(state["ppo"])
         self.frames, self.iteration = state["frames"], state["iteration"]
         self._saved = self.frames
@@ -160,10 +158,6 @@ class Trainer:
         self.env.generator.set_state(state["env_rng"])
         self.ppo.step_schedules(self.frames, self.config.total_frames)
         self.started_from = str(folder)
-
-    def _behind(self) -> list[Tensor]:
-        """What the normalisers know besides what is saved with the networks."""
-        return [each.behind for each in self.networks.normalizers if isinstance(each, RunningNormalizer)]
 
     def describe(self) -> str:
         """What is trained, where from and where to, two lines."""
@@ -308,7 +302,6 @@ class Trainer:
         card = make_policy_card(self.config, self.task, self.frames, metrics)
         state: dict[str, Any] = {
             "networks": dict(self.networks.state_dict()),
-            "behind": self._behind(),
             "ppo": self.ppo.state_dict(),
             "frames": self.frames,
             "iteration": self.iteration,

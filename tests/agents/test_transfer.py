@@ -115,8 +115,8 @@ def test_a_grown_run_that_goes_on_knows_what_is_new(small: TrainedPolicy, tmp_pa
     again = Trainer(resume_config(compose(None, given), given))
     again.close()
     before, after = (each.networks.normalizers[0] for each in (trainer, again))
-    assert len(before.behind.unique()) == 2  # of the new values nothing is known, of the others all
-    assert torch.equal(after.behind, before.behind)
+    assert len(before.count.unique()) == 2  # of the new values nothing is known, of the others all
+    assert torch.equal(after.count, before.count)
 
 
 def test_grows_only_when_asked(small: TrainedPolicy, tmp_path: Path) -> None:

@@ -109,8 +109,9 @@ def draw_update(line: str) -> dict[str, np.ndarray]:
     batch = env.rollout(8, networks.actor, break_when_any_done=False)
     env.close(raise_if_closed=False)
     drawn = {"batch." + "/".join(key): batch[key] for key in map(_as_tuple, batch.keys(True, True))}
-    drawn |= {f"before.{name}": value for name, value in networks.state_dict().items()}
-    return {name: value.detach().numpy() for name, value in drawn.items()}
+    before = saved_weights({name: value.detach().numpy() for name, value in networks.state_dict().items()})
+    drawn = {name: value.detach().numpy() for name, value in drawn.items()}
+    return drawn | {f"before.{name}": value for name, value in before.items()}
 
 
 def update(line: str, given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -128,13 +129,19 @@ def update(line: str, given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         if name.startswith("batch."):
             batch[tuple(name.removeprefix("batch.").split("/"))] = torch.tensor(value)
     metrics = ppo.update(batch)
-    after = {f"after.{name}": value.detach().numpy() for name, value in networks.state_dict().items()}
+    after = {name: value.detach().numpy() for name, value in networks.state_dict().items()}
+    after = {f"after.{name}": value for name, value in saved_weights(after).items()}
     return after | {f"metrics.{name}": np.array(value) for name, value in metrics.items()}
 
 
 def translate(values: dict[str, Any]) -> dict[str, Any]:
     """Return settings that an older version composed, under today's names."""
     return {"format": FORMAT, **upgrade(values)}
+
+
+def saved_weights(weights: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return weights as the old version saved them: one count for all features of a normalizer."""
+    return {name: value.max() if name.endswith(".count") else value for name, value in weights.items()}
 
 
 def _as_tuple(key: str | tuple[str, ...]) -> tuple[str, ...]:

@@ -115,7 +115,7 @@ def weights(adapter: Any, out: Path) -> None:
             part = file.relative_to(root).parts[2]
             stage = part if name == "paper" else name
             steps_trained = int(file.parent.name.removeprefix("step_"))
-            found = safetensors.numpy.load_file(file)
+            found = getattr(adapter, "saved_weights", dict)(safetensors.numpy.load_file(file))
             made |= {f"{stage}/{steps_trained}/{key}": value for key, value in found.items()}
         np.savez_compressed(out / f"weights_{name}.npz", **made)
 

@@ -1,11 +1,8 @@
-import gc
 import platform
 import subprocess
 import sys
 
 import pytest
-
-from skatemount.utils.memory import lasting_objects
 
 # NumPy asks for memory as it is; torch wants it aligned, which fits only after neighbours have been freed too.
 PAGE_FAULTS = """
@@ -35,35 +32,3 @@ def test_memory_of_a_freed_array_is_the_next_ones_without_being_cleared_again(si
     without, kept = map(int, result.stdout.split())
     assert without > 0
     assert kept == 0
-
-
-def test_what_is_made_to_last_is_not_looked_through_for_garbage():
-    try:
-        with lasting_objects():
-            assert not gc.isenabled()
-            made = [[]]
-        assert gc.isenabled()
-        assert not any(thing is made for thing in gc.get_objects())
-    finally:
-        gc.unfreeze()
-    assert any(thing is made for thing in gc.get_objects())
-
-
-def test_the_garbage_collector_is_on_again_after_an_import_that_fails():
-    try:
-        with pytest.raises(ImportError), lasting_objects():
-            raise ImportError("no such module")
-        assert gc.isenabled()
-    finally:
-        gc.unfreeze()
-
-
-def test_a_garbage_collector_that_was_off_stays_off():
-    gc.disable()
-    try:
-        with lasting_objects():
-            pass
-        assert not gc.isenabled()
-    finally:
-        gc.enable()
-        gc.unfreeze()
