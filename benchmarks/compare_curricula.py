@@ -39,6 +39,7 @@ from skatemount.evaluation.suite_task import EvaluationTask, load_suite
 from skatemount.runs import atomic
 from skatemount.runs.checkpoint import list_checkpoints, read_card
 from skatemount.runs.folder import RunFolder
+from skatemount.training.plots import COLORS
 
 METHODS = {
     "auto": ["+stage=unfixed", "+curriculum=auto", "init_from=null"],
@@ -49,7 +50,7 @@ GATED = {"paper": 20}
 """Number of evaluations in a whole training, for the gates of a chain's stages; they do not count as steps."""
 SUITES = ("mount-fixed", "mount-unfixed", "approach-fixed", "approach-unfixed")
 TRANSFER = "paper, end of approach"
-LINES = (("#1f77b4", "-"), ("#ff7f0e", "--"), ("#2ca02c", ":"))
+LINES = tuple(zip(COLORS, ("-", "--", ":")))
 """Color and style of each method's curve, both different, because curves may coincide."""
 
 

@@ -22,14 +22,14 @@ def train(config: Config, overrides: list[str]) -> None:
     from skatemount.evaluation import report
     from skatemount.training.chain import chain_to_train
     from skatemount.training.resume import resume_config
-    from skatemount.training.trainer import Trainer
+    from skatemount.training.trainer import Trainer, next_commands
     from skatemount.utils.errors import ConfigError
 
     chain = chain_to_train(config, overrides)
     if chain is not None:
         print(f"run: {chain.run.path}", flush=True)
         chain.train()
-        print(f"run: {chain.run.path}")
+        print(f"run: {chain.run.path}\n{next_commands(chain.run)}")
         return
     if config.resume is None and not config.stage.name:
         listed = "; ".join(f"{name} ({about})" for name, about in stages().items())
@@ -44,7 +44,7 @@ def train(config: Config, overrides: list[str]) -> None:
         trainer.close()
     if result is not None:
         print(report.table(result))
-    print(f"run: {trainer.run.path}")
+    print(f"run: {trainer.run.path}\n{next_commands(trainer.run)}")
 
 
 def main() -> None:

@@ -130,7 +130,7 @@ def test_sigterm_leaves_a_run_that_can_go_on(runs_root: Path) -> None:
     )
     try:
         deadline = time.monotonic() + 120
-        while not any(len(f.read_text().splitlines()) > 2 for f in runs_root.glob("*/*/metrics.csv")):
+        while not any(len(f.read_text().splitlines()) > 2 for f in runs_root.glob("*/*/metrics.jsonl")):
             assert process.poll() is None and time.monotonic() < deadline, process.communicate()[0]
             time.sleep(0.2)
         process.send_signal(signal.SIGTERM)
@@ -141,7 +141,7 @@ def test_sigterm_leaves_a_run_that_can_go_on(runs_root: Path) -> None:
     assert "Traceback" not in out
     left = RunFolder.open(next(runs_root.glob("skatemount/*")))
     assert left.latest is not None
-    assert load_training_state(left.latest)["frames"] >= 2 * BATCH
+    assert load_training_state(left.latest)["progress"]["frames"] >= 2 * BATCH
 
 
 def test_a_stage_with_and_without_a_plus_in_a_multirun(command: Callable[..., Any], runs_root: Path) -> None:

@@ -26,7 +26,7 @@ def main() -> None:
     options = parser.parse_args()
     try:
         runs = [part for path in options.runs for run in [RunFolder.open(path)] for part in run.parts or [run]]
-        plot_chain([(_name(run), run.metrics_csv) for run in runs], options.picture, options.title)
+        plot_chain([(_name(run), run.metrics_file) for run in runs], options.picture, options.title)
     except ConfigError as error:
         sys.exit(f"plot_training: {error}")
     print(options.picture)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -81,7 +82,8 @@ class PPO:
         )
         gamma, lmbda = math.exp(-control_step / config.discount_horizon), math.exp(-control_step / config.gae_horizon)
         self._gae = GAE(gamma=gamma, lmbda=lmbda, value_network=None)
-        self._parameters = [p for p in networks.parameters() if p.requires_grad]
+        learned = {name: p for name, p in networks.named_parameters() if p.requires_grad}
+        self._names, self._parameters = list(learned), list(learned.values())
         self.optimizer = torch.optim.Adam(self._parameters, lr=config.learning_rate, fused=True)
         self._schedule = None
         if config.target_kl is not None:
@@ -257,10 +259,18 @@ class PPO:
         with torch.autocast(self._parameters[0].device.type, dtype=torch.bfloat16):
             yield
 
-    def state_dict(self) -> dict[str, object]:
-        """Return the state of the optimizer, with the learning rate."""
-        return {"optimizer": self.optimizer.state_dict()}
+    def state_dict(self) -> dict[str, Any]:
+        """Return the learning rate, and Adam's moments by parameter: ``optimizer/<parameter>/<moment>``."""
+        states = self.optimizer.state_dict()["state"]
+        return {
+            "learning_rate": self.learning_rate,
+            "optimizer": {name: dict(states[i]) for i, name in enumerate(self._names) if i in states},
+        }
 
-    def load_state_dict(self, state: dict[str, dict]) -> None:
-        """Restore a state that `state_dict` returned."""
-        self.optimizer.load_state_dict(state["optimizer"])
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned, or the same with numbers for parameters, as older versions saved it."""
+        saved = state["optimizer"]
+        groups = self.optimizer.state_dict()["param_groups"]
+        groups[0]["lr"] = state["learning_rate"]
+        states = {i: saved[key] for i, name in enumerate(self._names) for key in (name, str(i)) if key in saved}
+        self.optimizer.load_state_dict({"state": states, "param_groups": groups})

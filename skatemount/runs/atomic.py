@@ -1,8 +1,7 @@
 """Files and folders that appear whole or not at all.
 
-What is written goes to a temporary neighbour first, is flushed to the disk, and takes its final
-name with one `os.replace`. A process killed at any moment leaves what was there before, and at most
-a hidden temporary beside it, which `recover` clears.
+Data goes to a hidden temporary neighbor first, is flushed to the disk, and gets its final name by one `os.replace`. A
+process that is killed at any moment leaves the previous content, and at most a temporary, which `recover` deletes.
 """
 
 from __future__ import annotations
@@ -20,19 +19,16 @@ _DISPLACED = ".old"
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Gives a temporary file to write, which becomes `path` when the block ends without an error.
+    """Yield a temporary file to write; it becomes `path` when the block ends without an error.
 
     Args:
-        path: The file to make or replace; its folder is made if it is missing.
-
-    Yields:
-        The temporary path, in the same folder.
+        path: The file to create or replace; a missing folder is created.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = _temporary_neighbour(path)
+    temporary = _temporary_neighbor(path)
     try:
         yield temporary
-        _sync(temporary)
+        _sync(temporary, os.O_RDWR)
         os.replace(temporary, path)
         _sync_folder(path.parent)
     finally:
@@ -40,33 +36,29 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Writes or replaces a file with `data` in one step."""
+    """Create or replace a file."""
     with replacing(path) as temporary:
         temporary.write_bytes(data)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes or replaces a file with `text` (UTF-8, line ends as given) in one step."""
+    """Create or replace a text file (UTF-8, line ends as given)."""
     write_bytes(path, text.encode("utf-8"))
 
 
 @contextlib.contextmanager
 def replacing_folder(final: Path) -> Iterator[Path]:
-    """Gives an empty folder to fill, which becomes `final` when the block ends without an error.
+    """Yield an empty folder to fill; it becomes `final` when the block ends without an error.
 
-    Files written in the block are to be flushed by their writer (`write_bytes` does). An existing
-    `final` stays until the new one is complete. One process at a time may write in a parent folder,
-    because leftovers of earlier crashes found there are cleared first.
+    The block flushes the files that it writes, as `write_bytes` does. An existing `final` stays until the new one is
+    complete. Only one process at a time may write below a parent folder: leftovers of a crash are deleted first.
 
     Args:
-        final: The folder to make or replace.
-
-    Yields:
-        The staging folder, beside `final`.
+        final: The folder to create or replace.
     """
     final.parent.mkdir(parents=True, exist_ok=True)
     recover(final.parent)
-    staged = _temporary_neighbour(final)
+    staged = _temporary_neighbor(final)
     staged.mkdir()
     try:
         yield staged
@@ -74,8 +66,8 @@ def replacing_folder(final: Path) -> Iterator[Path]:
             _sync_folder(Path(folder))
         displaced = final.with_name(f".{final.name}{_DISPLACED}")
         if final.exists():
-            # A folder cannot be replaced by one that has files. Between these two renames the old
-            # one is only under its hidden name: `recover` gives it its name back.
+            # A folder with files cannot be replaced in one step. Between these two renames the old folder has only its
+            # hidden name; after a crash there, `recover` renames it back.
             os.replace(final, displaced)
         os.replace(staged, final)
         _sync_folder(final.parent)
@@ -85,14 +77,14 @@ def replacing_folder(final: Path) -> Iterator[Path]:
 
 
 def remove_folder(folder: Path) -> None:
-    """Deletes a folder so that it is never seen half deleted under its own name."""
-    doomed = _temporary_neighbour(folder)
+    """Delete a folder; it is never visible half deleted under its own name."""
+    doomed = _temporary_neighbor(folder)
     os.replace(folder, doomed)
     shutil.rmtree(doomed, ignore_errors=True)
 
 
 def recover(parent: Path) -> None:
-    """Clears what a crash left in `parent`, and restores a folder that was being replaced."""
+    """Delete the leftovers of a crash in `parent`, and restore a folder that was being replaced."""
     for displaced in parent.glob(f".*{_DISPLACED}"):
         final = parent / displaced.name.removeprefix(".").removesuffix(_DISPLACED)
         if final.exists():
@@ -106,13 +98,13 @@ def recover(parent: Path) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def _temporary_neighbour(path: Path) -> Path:
+def _temporary_neighbor(path: Path) -> Path:
     # Not `tempfile`: its files are private to the user whatever the umask says.
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}{_TEMPORARY}")
 
 
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDWR)
+def _sync(path: Path, flags: int) -> None:
+    descriptor = os.open(path, flags)
     try:
         os.fsync(descriptor)
     finally:
@@ -120,10 +112,6 @@ def _sync(path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    # Some file systems refuse this for folders; the rename itself is atomic all the same.
+    # Some file systems refuse to flush a folder; the rename is atomic there too.
     with contextlib.suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        _sync(folder, os.O_RDONLY)

@@ -1,8 +1,7 @@
 """Policies and checkpoints on disk. Nothing here reads pickle.
 
 A *policy file* is `NAME.safetensors` with its card `NAME.json` beside it. A *checkpoint folder* is
-`step_000001234567/` with `policy.safetensors`, `policy.json` and `training/`, which holds what is
-needed to go on training (optimiser, schedule, counters, random states, environments).
+`step_000001234567/` with `policy.safetensors`, `policy.json`, and `training/`, the state that a resumed training needs.
 """
 
 from __future__ import annotations
@@ -11,6 +10,8 @@ import dataclasses
 import json
 import math
 import re
+import typing
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -39,19 +40,19 @@ _NON_FINITE = ("nan", "inf", "-inf")
 
 @dataclass(kw_only=True)
 class PolicyCard:
-    """What a policy is, in plain words and numbers: enough to rebuild its network and its task.
+    """Description of a policy in plain values: enough to rebuild its network and its task.
 
     Attributes:
         format: Version of this layout.
         stage: The stage that it was trained in.
         config: The full resolved configuration of that training.
         observation: One dict for each part of the observation, in order (name, size, scale, …).
-        action: What the actions mean (joint order, default pose, scale, clip, …).
+        action: Meaning of the actions (joint order, default pose, scale, clip, …).
         frames: Environment steps trained.
-        metrics: Training metrics at that moment.
+        metrics: Training metrics when it was saved.
         suites: Evaluation results by suite.
-        versions: Package versions that it was made with.
-        notes: Anything else a reader should know.
+        versions: Versions of the packages that it was trained with.
+        notes: Remarks for readers.
         sha256: Checksum of the weights' file; `save_policy` sets it.
     """
 
@@ -68,33 +69,16 @@ class PolicyCard:
     sha256: str = ""
 
     def to_json(self) -> str:
-        """Returns the card as strict JSON; not-a-number and infinities become strings.
-
-        Raises:
-            ConfigError: A value is not plain data; the message says which.
-        """
+        """Return the card as strict JSON; numbers that are not finite become strings, other objects a `ConfigError`."""
         plain = {f.name: _plain(getattr(self, f.name), f.name) for f in dataclasses.fields(self)}
         return json.dumps(plain, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
     @classmethod
     def from_json(cls, text: str | bytes, where: str = "card") -> PolicyCard:
-        """Reads a card.
-
-        Args:
-            text: What `to_json` returned.
-            where: What to call it in error messages, the file's path for instance.
-
-        Raises:
-            ConfigError: It is not JSON, of a newer format, or a field is missing, unknown or of a
-                wrong type.
-        """
+        """Return a card from its JSON; `where` begins the `ConfigError` on a malformed one."""
         document = parse_json(text, where)
         check_format(document, CARD_FORMAT, where)
-        kinds = {
-            "format": int, "stage": str, "config": dict, "observation": list, "action": dict,
-            "frames": int, "metrics": dict, "suites": dict, "versions": dict, "notes": str,
-            "sha256": str,
-        }  # fmt: skip
+        kinds = {name: typing.get_origin(hint) or hint for name, hint in typing.get_type_hints(cls).items()}
         if unknown := sorted(set(document) - set(kinds)):
             raise ConfigError(f"{where}: unknown field {unknown[0]!r}; known: {', '.join(kinds)}")
         if missing := [name for name in ("stage", "config") if name not in document]:
@@ -109,17 +93,16 @@ class PolicyCard:
         return cls(**{name: _revive(value) for name, value in document.items()})
 
 
-def save_policy(path: Path, modules: dict[str, nn.Module], card: PolicyCard) -> None:
-    """Writes a policy file and its card.
+def save_policy(path: Path, modules: Mapping[str, nn.Module], card: PolicyCard) -> None:
+    """Write a policy file and its card.
 
     Args:
         path: The `.safetensors` file; the card goes beside it, ending in `.json`.
-        modules: Networks by name, `{"actor": …, "critic": …}`; stored as `actor.<parameter>`.
-        card: What it is; its `sha256` is filled in on disk.
+        modules: Networks by name, such as ``{"actor": …, "critic": …}``; weights are saved as ``actor.<parameter>``.
+        card: The card; its `sha256` is filled in on disk.
 
     Raises:
-        ConfigError: The path does not end in `.safetensors`, a name has a dot, or a module's state
-            is not all tensors.
+        ConfigError: The path does not end in `.safetensors`, a name has a dot, or a module's state is not all tensors.
     """
     path = Path(path)
     if path.suffix != ".safetensors":
@@ -138,13 +121,10 @@ def save_policy(path: Path, modules: dict[str, nn.Module], card: PolicyCard) -> 
 
 
 def load_policy(path: Path) -> tuple[dict[str, dict[str, Tensor]], PolicyCard]:
-    """Reads a policy and its card.
+    """Return the state dicts of a policy by module name, on the CPU, and its card.
 
     Args:
         path: A `.safetensors` file, or a checkpoint folder.
-
-    Returns:
-        State dicts by module name (tensors on the CPU), and the card.
 
     Raises:
         ConfigError: A file is missing, damaged, a pickle, or of a newer format.
@@ -158,7 +138,7 @@ def load_policy(path: Path) -> tuple[dict[str, dict[str, Tensor]], PolicyCard]:
 
 
 def read_card(path: Path) -> PolicyCard:
-    """Reads the card of a policy file or checkpoint folder, without its weights.
+    """Return the card of a policy file or checkpoint folder, without reading the weights.
 
     Raises:
         ConfigError: The policy or its card is missing, or the card is malformed.
@@ -168,18 +148,18 @@ def read_card(path: Path) -> PolicyCard:
 
 
 def save_checkpoint(
-    folder: Path, modules: dict[str, nn.Module], card: PolicyCard, training_state: dict[str, Any]
+    folder: Path, modules: Mapping[str, nn.Module], card: PolicyCard, training_state: Mapping[str, Any]
 ) -> None:
-    """Writes a checkpoint folder, whole or not at all.
+    """Write a checkpoint folder, whole or not at all.
 
     Args:
-        folder: Its final name (see `step_folder`); an existing one is replaced.
+        folder: Its final path (see `step_folder`); an existing one is replaced.
         modules: As for `save_policy`.
         card: As for `save_policy`.
         training_state: As for `skatemount.runs.serialization.save_state`.
 
     Raises:
-        ConfigError: Something in it cannot be saved; `folder` is as before.
+        ConfigError: A value cannot be saved; `folder` is as before.
     """
     with atomic.replacing_folder(Path(folder)) as staged:
         save_policy(staged / POLICY_FILE, modules, card)
@@ -187,50 +167,46 @@ def save_checkpoint(
 
 
 def load_training_state(folder: Path) -> dict[str, Any]:
-    """Reads what is needed to go on training from a checkpoint folder, tensors on the CPU.
+    """Return the training state of a checkpoint folder by its parts, tensors on the CPU.
 
     Raises:
-        ConfigError: It is a policy alone, or its state is missing or damaged.
+        ConfigError: It is only a policy, or its state is missing or damaged.
     """
-    folder = Path(folder)
-    if not (folder / TRAINING_FOLDER).is_dir():
+    state = Path(folder) / TRAINING_FOLDER
+    if not state.is_dir():
         raise ConfigError(
             f"{folder}: has no training state to resume from; "
             "give a run or a checkpoint folder, or start from its policy with init_from"
         )
-    return load_state(folder / TRAINING_FOLDER)
+    return load_state(state)
 
 
 def step_folder(frames: int) -> str:
-    """Returns a checkpoint folder's name, padded so that names sort by step."""
+    """Return a checkpoint folder's name, padded so that names sort by step."""
     return f"step_{frames:012d}"
 
 
 def is_checkpoint(folder: Path) -> bool:
-    """Tells whether `folder` is a published checkpoint folder."""
+    """Return whether `folder` is a complete checkpoint folder."""
     return (folder / POLICY_FILE).is_file() and not folder.name.startswith(".")
 
 
 def list_checkpoints(checkpoints: Path) -> list[Path]:
-    """Returns the checkpoint folders in `checkpoints`, in the order in which they were written.
+    """Return the checkpoint folders in `checkpoints`, the oldest first.
 
-    That is by time and not by step: after resuming from an earlier checkpoint, the newer ones have
-    the smaller steps.
+    The order is by time, not by step: a run that resumed from an earlier checkpoint writes smaller steps later.
     """
     found = [p for p in checkpoints.glob("step_*") if _STEP_FOLDER.fullmatch(p.name)]
     return sorted(filter(is_checkpoint, found), key=lambda p: (p.stat().st_mtime_ns, p.name))
 
 
 def keep_last(checkpoints: Path, n: int, protect: Path | None = None) -> list[Path]:
-    """Deletes all but the newest checkpoints.
+    """Delete all but the newest checkpoints, and return the deleted folders.
 
     Args:
         checkpoints: The folder that holds them.
-        n: How many to keep, at least 1.
-        protect: One that stays in any case and is not counted, the best one for instance.
-
-    Returns:
-        The deleted folders.
+        n: Number to keep, at least 1.
+        protect: A checkpoint that is kept in any case and not counted, such as the best one.
 
     Raises:
         ConfigError: `n` is less than 1.
@@ -238,8 +214,7 @@ def keep_last(checkpoints: Path, n: int, protect: Path | None = None) -> list[Pa
     if n < 1:
         raise ConfigError(f"keep={n}: at least 1 checkpoint has to be kept")
     protected = None if protect is None else Path(protect).resolve()
-    others = [p for p in list_checkpoints(checkpoints) if p.resolve() != protected]
-    doomed = others[:-n]
+    doomed = [p for p in list_checkpoints(checkpoints) if p.resolve() != protected][:-n]
     for folder in doomed:
         atomic.remove_folder(folder)
     return doomed
@@ -263,7 +238,7 @@ def _card_path(policy: Path) -> Path:
 
 
 def _plain(value: Any, where: str) -> Any:
-    """Turns scalars of numpy and torch into Python's, and non-finite floats into strings."""
+    """Convert scalars of numpy and torch to Python's, and floats that are not finite to strings."""
     if isinstance(value, dict):
         return {str(key): _plain(item, f"{where}.{key}") for key, item in value.items()}
     if isinstance(value, list | tuple):

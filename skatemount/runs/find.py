@@ -13,20 +13,17 @@ from skatemount.utils.errors import ConfigError
 
 
 def find_checkpoint(spec: str, root: Path | str = Path("runs"), setting: str = "checkpoint") -> Path:
-    """Finds the checkpoint or policy file that a user means.
+    """Return the checkpoint folder or policy file that a user means; `load_policy` takes both.
 
     Args:
-        spec: A checkpoint folder; a `.safetensors` file; a run folder (its latest checkpoint) or
-            `RUN/best`, as a path or relative to `root`; `latest` or `best` (of the newest run that
-            has a checkpoint); `pretrained:NAME` (a policy shipped with the package).
+        spec: A checkpoint folder; a `.safetensors` file; a run folder (its latest checkpoint) or `RUN/best`, as a path
+            or relative to `root`; `latest` or `best` (of the newest run that has a checkpoint); `pretrained:NAME` (a
+            policy shipped with the package).
         root: Folder of all runs.
         setting: The setting's name, for error messages.
 
-    Returns:
-        A checkpoint folder, or a `.safetensors` file; `load_policy` takes both.
-
     Raises:
-        ConfigError: There is none; the line says what there is.
+        ConfigError: There is none; the message lists what there is.
     """
     root = Path(root)
     spec = str(spec)

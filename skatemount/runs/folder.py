@@ -1,12 +1,11 @@
-"""Run folders: where a training puts what it makes, and how to find it again.
+"""Run folders: all that a training writes, and the pointers to its latest and best checkpoint.
 
-A run is `<root>/<experiment>/<YYYY-MM-DD_HH-MM-SS>_<name>/`. In it, `latest` and `best` are text
-files whose first line names a checkpoint folder relative to the run; `<root>/latest` names the
-newest run that has a checkpoint, relative to the root. They are files and not links so that they
-survive copying and work on every system.
+A run is `<root>/<experiment>/<YYYY-MM-DD_HH-MM-SS>_<name>/`. In it, `latest` and `best` are text files whose first line
+names a checkpoint folder relative to the run; `<root>/latest` names the newest run that has a checkpoint, relative to
+the root. They are files, not links, so that they survive copying and work on every system.
 
-A run may consist of parts, each a run folder in it (`1_gait`, `2_balance`, …): its `latest` and
-`best` are those of the part that was written last.
+A run may consist of parts (`1_gait`, `2_balance`, …), each a run folder in it: its latest and best checkpoint are those
+of the last part that has one.
 """
 
 from __future__ import annotations
@@ -15,13 +14,17 @@ import datetime
 import itertools
 import math
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import yaml
+from filelock import FileLock, Timeout
 
 from skatemount.runs import atomic
 from skatemount.runs.checkpoint import is_checkpoint, list_checkpoints, step_folder
+from skatemount.runs.metrics import OLD_SUFFIX
 from skatemount.runs.provenance import environment_report, git_report
 from skatemount.utils.errors import ConfigError
 
@@ -33,35 +36,36 @@ _RUN_NAME = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_.+")
 
 
 class RunFolder:
-    """One training's folder.
+    """The folder of one training.
 
     Attributes:
         path: The folder.
-        parent: The run that this one is a part of, if it is one.
+        parent: The run that this one is a part of, if any.
+        curves_png: The picture of the learning curves.
+        curriculum_png: The picture of the curriculum.
     """
 
     def __init__(self, path: Path, root: Path | None = None, parent: RunFolder | None = None) -> None:
-        """Wraps a folder that exists; use `create`, `create_part` or `open`."""
+        """Wrap a folder that exists; use `create`, `create_part` or `open` instead."""
         self.path = path
         self.parent = parent
+        self.curves_png = path / "curves.png"
+        self.curriculum_png = path / "curriculum.png"
         self._root = root
 
     @classmethod
     def create(cls, root: Path | str, experiment: str, name: str, config: dict, overrides: list[str]) -> RunFolder:
-        """Makes a new run folder and notes what is run, with which code and on what.
+        """Create a run folder, even if another run starts in the same second.
 
         Args:
             root: Folder of all runs, usually `runs`.
-            experiment: Name of the group of runs, one path component.
-            name: Name of this run, appended to the time; one path component.
+            experiment: Folder of a group of runs in it.
+            name: Name of this run, appended to the time.
             config: The full resolved configuration as plain data.
-            overrides: What was given on the command line.
-
-        Returns:
-            The run; its folder is new even if another run starts in the same second.
+            overrides: The overrides of the command line.
 
         Raises:
-            ConfigError: A name is not a plain one, or the configuration is not plain data.
+            ConfigError: A name is not one path component, or the configuration is not plain data.
         """
         _check_name("logger.experiment", experiment)
         _check_name("logger.name", name)
@@ -79,16 +83,7 @@ class RunFolder:
         return cls(path, Path(root))
 
     def create_part(self, name: str, config: dict, overrides: list[str]) -> RunFolder:
-        """Makes a run that is a part of this one.
-
-        Args:
-            name: Of its folder in this one.
-            config: As for `create`.
-            overrides: As for `create`.
-
-        Raises:
-            ConfigError: As for `create`, or there is such a part already.
-        """
+        """Create a part of this run, a folder in it; arguments and errors are those of `create`."""
         _check_name("name", name)
         config_text = _yaml(config)
         path = self.path / name
@@ -101,15 +96,7 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path | str, setting: str = "run") -> RunFolder:
-        """Opens an existing run, to resume it or to read it.
-
-        Args:
-            path: The run folder, or a checkpoint folder in it.
-            setting: What to call it in messages.
-
-        Raises:
-            ConfigError: It is not a run.
-        """
+        """Open the run of a run folder or of a checkpoint folder; anything else is a `ConfigError` on `setting`."""
         path = Path(path)
         for folder in (path, path.parent.parent if path.parent.name == "checkpoints" else path):
             if is_run(folder):
@@ -118,13 +105,29 @@ class RunFolder:
             f"{setting}={str(path)!r}: not a run folder (config.yaml and git.diff in it), nor a checkpoint of one"
         )
 
-    @property
-    def config(self) -> dict[str, Any]:
-        """The configuration it was started with.
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keep all other processes from training in this run until the block ends, or the process does.
 
         Raises:
-            ConfigError: `config.yaml` is damaged.
+            ConfigError: Another process holds the lock.
         """
+        lock = FileLock(self.path / ".lock", blocking=False)
+        try:
+            lock.acquire()
+        except Timeout:
+            raise ConfigError(
+                f"{self.path}: is being trained by another process; stop that one first, or start from its policy "
+                f"with init_from={self.path}"
+            ) from None
+        try:
+            yield
+        finally:
+            lock.release()
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The configuration that the run was started with; a damaged `config.yaml` is a `ConfigError`."""
         path = self.path / "config.yaml"
         try:
             config = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -136,69 +139,60 @@ class RunFolder:
 
     @property
     def checkpoints(self) -> Path:
-        """Folder of the checkpoints, made when first asked for; so is the next one."""
+        """The folder of the checkpoints, created on first use."""
         return self._folder("checkpoints")
 
     @property
     def videos(self) -> Path:
-        """Folder of the films."""
+        """The folder of the films, created on first use."""
         return self._folder("videos")
 
     @property
-    def metrics_csv(self) -> Path:
-        """The metrics' table (a file, made by `skatemount.runs.loggers.MetricsLog`)."""
-        return self.path / "metrics.csv"
-
-    @property
-    def curves_png(self) -> Path:
-        """The picture of the learning curves."""
-        return self.path / "curves.png"
-
-    @property
-    def curriculum_png(self) -> Path:
-        """The picture of the curriculum."""
-        return self.path / "curriculum.png"
+    def metrics_file(self) -> Path:
+        """The metrics, `metrics.jsonl`; the `metrics.csv` of an older version if that is the only one."""
+        path = self.path / "metrics.jsonl"
+        old = path.with_suffix(OLD_SUFFIX)
+        return old if old.is_file() and not path.is_file() else path
 
     @property
     def parts(self) -> list[RunFolder]:
-        """The runs that this one consists of, in order; none if it is a single training."""
+        """The runs that this one consists of, in order; none for a single training."""
         numbered = ((_PART.fullmatch(p.name), p) for p in self.path.iterdir() if is_run(p))
         ordered = sorted((int(number[1]), p) for number, p in numbered if number)
         return [RunFolder(path, parent=self) for _, path in ordered]
 
     @property
     def latest(self) -> Path | None:
-        """The checkpoint marked last, or the newest there is if that one is gone."""
-        marked = follow(self.path / "latest")
-        if marked is not None and is_checkpoint(marked):
-            return marked
-        return next(reversed(list_checkpoints(self.path / "checkpoints")), None)
+        """The checkpoint that was marked last, or the newest one if that is gone; of the last part that has one."""
+        if (part := self._last_part()) is not None:
+            return part.latest
+        newest = next(reversed(list_checkpoints(self.path / "checkpoints")), None)
+        return self._marked("latest") or newest
 
     @property
     def best(self) -> Path | None:
-        """The checkpoint with the highest score, if any had one."""
-        marked = follow(self.path / "best")
-        return marked if marked is not None and is_checkpoint(marked) else None
+        """The checkpoint with the highest score, if any had one; of the last part that has a checkpoint."""
+        part = self._last_part()
+        return self._marked("best") if part is None else part.best
 
     def checkpoint(self, frames: int) -> Path:
-        """Returns where the checkpoint after `frames` environment steps belongs."""
+        """Return the path of the checkpoint after `frames` environment steps."""
         return self.checkpoints / step_folder(frames)
 
     def mark_checkpoint(self, folder: Path, score: float | None) -> None:
-        """Points `latest` at a checkpoint, and `best` too if no score was higher so far.
+        """Point `latest` at a checkpoint, and `best` as well if no earlier score was higher.
 
         At equal scores the later checkpoint is the best: it has trained longer.
 
         Args:
             folder: A checkpoint folder of this run.
-            score: Higher is better; None or not a number if it was not evaluated.
+            score: Higher is better; None or nan if it was not evaluated.
 
         Raises:
             ConfigError: The folder is not a checkpoint of this run.
         """
         folder = Path(folder)
-        inside = folder.resolve().is_relative_to(self.path.resolve())
-        if not inside or not is_checkpoint(folder):
+        if not folder.resolve().is_relative_to(self.path.resolve()) or not is_checkpoint(folder):
             raise ConfigError(f"{folder}: not a checkpoint of the run {self.path}")
         target = folder.resolve().relative_to(self.path.resolve()).as_posix()
         atomic.write_text(self.path / "latest", f"{target}\n")
@@ -207,32 +201,25 @@ class RunFolder:
         self._mark_run()
 
     def _mark_run(self) -> None:
-        if self.parent is not None:
-            self.parent._follow_part(self)
-            return
-        root = self.path.absolute().parent.parent
-        # A run that was opened may have been moved anywhere: there, no pointer is strewn about.
-        if self._root is None and not (root / "latest").is_file():
+        """Point `<root>/latest` at this run, or the one it is a part of, unless a newer one has a checkpoint."""
+        run = self.parent or self
+        root = run.path.absolute().parent.parent
+        # A run that was opened may have been moved to any place, where a pointer beside it would be litter.
+        if run._root is None and not (root / "latest").is_file():
             return
         newest = follow(root / "latest")
-        if newest is None or age_key(self.path) >= age_key(newest):
-            relative = self.path.absolute().relative_to(root).as_posix()
-            atomic.write_text(root / "latest", f"{relative}\n")
+        if newest is None or age_key(run.path) >= age_key(newest):
+            atomic.write_text(root / "latest", f"{run.path.absolute().relative_to(root).as_posix()}\n")
 
-    def _follow_part(self, part: RunFolder) -> None:
-        """Points `latest` and `best` at those of a part."""
-        for name in POINTERS:
-            try:
-                pointer = (part.path / name).read_text(encoding="utf-8")
-            except FileNotFoundError:
-                # Not the best of another part: their scores are for different tasks.
-                (self.path / name).unlink(missing_ok=True)
-                continue
-            atomic.write_text(self.path / name, f"{part.path.name}/{pointer}")
-        self._mark_run()
+    def _last_part(self) -> RunFolder | None:
+        return next((part for part in reversed(self.parts) if part.latest is not None), None)
+
+    def _marked(self, pointer: str) -> Path | None:
+        marked = follow(self.path / pointer)
+        return marked if marked is not None and is_checkpoint(marked) else None
 
     def _best_score(self) -> float:
-        if self.best is None:
+        if self._marked("best") is None:
             return -math.inf
         _, _, note = (self.path / "best").read_text(encoding="utf-8").partition("\nscore ")
         try:
@@ -244,6 +231,27 @@ class RunFolder:
         folder = self.path / name
         folder.mkdir(exist_ok=True)
         return folder
+
+
+def is_run(path: Path) -> bool:
+    """Return whether a folder is a run."""
+    # Two files, because a folder of settings has a config.yaml as well.
+    return (path / "config.yaml").is_file() and (path / "git.diff").is_file()
+
+
+def age_key(run: Path) -> tuple[str, str]:
+    """Return a sort key: the time in the run's name, then the name; renamed runs are the oldest."""
+    return ("", run.name) if _RUN_NAME.fullmatch(run.name) is None else (run.name[:19], run.name)
+
+
+def follow(pointer: Path) -> Path | None:
+    """Return the folder that a pointer file names, if both exist."""
+    try:
+        target = pointer.read_text(encoding="utf-8").partition("\n")[0].strip()
+    except (OSError, UnicodeDecodeError):
+        return None
+    folder = pointer.parent / target
+    return folder if target and folder.is_dir() else None
 
 
 def _check_name(setting: str, value: str) -> None:
@@ -260,29 +268,8 @@ def _yaml(config: dict) -> str:
 
 
 def _note(path: Path, config_text: str, overrides: list[str]) -> None:
-    """Writes down what is run, with which code and on what."""
+    """Write the settings, the code's version and the machine's description."""
     atomic.write_text(path / "overrides.yaml", yaml.safe_dump(list(overrides)))
     atomic.write_text(path / "git.diff", git_report())
     atomic.write_text(path / "environment.txt", environment_report())
     atomic.write_text(path / "config.yaml", config_text)  # last: it marks a complete run
-
-
-def is_run(path: Path) -> bool:
-    """Return whether a folder is a run."""
-    # Two files, because a folder of settings has a config.yaml as well.
-    return (path / "config.yaml").is_file() and (path / "git.diff").is_file()
-
-
-def age_key(run: Path) -> tuple[str, str]:
-    """Sorts runs by the time in their names, then by the names; renamed ones are the oldest."""
-    return ("", run.name) if _RUN_NAME.fullmatch(run.name) is None else (run.name[:19], run.name)
-
-
-def follow(pointer: Path) -> Path | None:
-    """Returns what a pointer file names, if the file and the folder exist."""
-    try:
-        target = pointer.read_text(encoding="utf-8").partition("\n")[0].strip()
-    except (OSError, UnicodeDecodeError):
-        return None
-    folder = pointer.parent / target
-    return folder if target and folder.is_dir() else None

@@ -1,96 +1,103 @@
-"""What a training writes down while it runs: a table of metrics, and TensorBoard events."""
+"""Loggers: where the metrics of a training go."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
-from skatemount.runs.metrics import MetricsCsv
+from skatemount.runs.metrics import MetricsFile
 from skatemount.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from torch.utils.tensorboard import SummaryWriter
-
     from skatemount.runs.folder import RunFolder
 
 
-class MetricsLog:
-    """Writes metrics to `metrics.csv` and to TensorBoard event files, by environment steps.
-
-    TensorBoard is written through `torch.utils.tensorboard` rather than TorchRL's logger: events
-    then lie in the run folder itself, and a resume_config run can say which earlier ones to forget.
-    """
-
-    def __init__(
-        self,
-        run: RunFolder,
-        tensorboard: bool = True,
-        csv: bool = True,
-        resume_at: int | None = None,
-    ) -> None:
-        """Opens the logs.
-
-        Args:
-            run: The run folder that they are in.
-            tensorboard: Whether to write TensorBoard events.
-            csv: Whether to write `metrics.csv`.
-            resume_at: Environment steps of the checkpoint that a resume_config run goes on from; what was
-                logged beyond it is dropped.
-
-        Raises:
-            ConfigError: TensorBoard is asked for and not installed.
-        """
-        self._csv = MetricsCsv(run.metrics_csv, resume_at) if csv else None
-        self._events = _event_writer(run.path, resume_at) if tensorboard else None
+class Logger(Protocol):
+    """Receives the metrics of every iteration."""
 
     def log(self, metrics: dict[str, float], frames: int) -> None:
-        """Writes one report.
+        """Write the metrics of an iteration.
 
         Args:
-            metrics: Numbers by name (Python, numpy or one-element tensors).
+            metrics: Numbers by name.
             frames: Environment steps so far.
-
-        Raises:
-            ValueError: A value is not a number.
         """
-        values = {name: as_number(name, value) for name, value in metrics.items()}
-        if self._csv is not None:
-            self._csv.append(values, frames)
-        if self._events is not None:
-            for name, value in values.items():
-                self._events.add_scalar(name, value, global_step=frames)
+        ...
 
     def close(self) -> None:
-        """Flushes and closes the logs; harmless when called again."""
-        if self._csv is not None:
-            self._csv.close()
-        if self._events is not None:
-            self._events.close()
-
-    def __enter__(self) -> MetricsLog:
-        """Returns itself, to be closed at the end of a `with` block."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Closes the logs."""
-        self.close()
+        """Flush and close; a second call does nothing."""
+        ...
 
 
-def as_number(name: str, value: float) -> float:
-    """Return a metric as a float; `ValueError` if it is none."""
-    try:
-        return float(value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"metric {name}={value!r}: a number is needed") from error
+class TensorBoardLogger:
+    """Writes TensorBoard events into a run folder.
+
+    TorchRL's logger writes into a folder of its own, and cannot drop the events of a run that is resumed from an
+    earlier checkpoint.
+    """
+
+    def __init__(self, run: RunFolder, resume_at: int | None = None) -> None:
+        """Open the event file.
+
+        Args:
+            run: The run folder.
+            resume_at: Environment steps of the checkpoint that a run resumes from; later events are dropped.
+
+        Raises:
+            ConfigError: TensorBoard is not installed.
+        """
+        try:
+            from torch.utils.tensorboard import SummaryWriter  # slow to import
+        except ImportError as error:
+            raise ConfigError(
+                "logger.tensorboard=true: the package tensorboard is not installed: pip install tensorboard, or "
+                "logger.tensorboard=false"
+            ) from error
+        # TensorBoard drops events from `purge_step` on, that step included.
+        self._events = SummaryWriter(str(run.path), purge_step=None if resume_at is None else resume_at + 1)
+
+    def log(self, metrics: dict[str, float], frames: int) -> None:
+        """Write one event for each metric; see `Logger.log`."""
+        for name, value in metrics.items():
+            self._events.add_scalar(name, value, global_step=frames)
+
+    def close(self) -> None:
+        """Flush and close."""
+        self._events.close()
 
 
-def _event_writer(folder: Path, resume_at: int | None) -> SummaryWriter:
-    try:
-        from torch.utils.tensorboard import SummaryWriter  # slow to import
-    except ImportError as error:
-        raise ConfigError(
-            "logger.tensorboard=true: the package tensorboard is not installed: pip install tensorboard, or "
-            "logger.tensorboard=false"
-        ) from error
-    # TensorBoard forgets events from `purge_step` on, that step included.
-    return SummaryWriter(str(folder), purge_step=None if resume_at is None else resume_at + 1)
+def open_loggers(run: RunFolder, file: bool = True, tensorboard: bool = True, frames: int = 0) -> list[Logger]:
+    """Open the loggers of a run.
+
+    A logger for another service implements `Logger` and is opened here.
+
+    Args:
+        run: The run folder.
+        file: Write `metrics.jsonl`.
+        tensorboard: Write TensorBoard events.
+        frames: Environment steps that are already trained; what was logged beyond is dropped.
+
+    Raises:
+        ConfigError: TensorBoard is asked for and not installed.
+    """
+    resume_at = frames or None
+    loggers: list[Logger] = []
+    if tensorboard:
+        loggers.append(TensorBoardLogger(run, resume_at))
+    if file:
+        loggers.append(MetricsFile(run.path / "metrics.jsonl", resume_at))
+    return loggers
+
+
+def as_numbers(metrics: dict[str, float]) -> dict[str, float]:
+    """Return metrics as Python floats, from numbers of Python and numpy and tensors of one element.
+
+    Raises:
+        ValueError: A value is not a number; the message names the metric.
+    """
+    values = {}
+    for name, value in metrics.items():
+        try:
+            values[name] = float(value)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"metric {name}={value!r}: a number is needed") from error
+    return values

@@ -1,9 +1,9 @@
-"""The metrics' table of a run: one row a report, columns that may grow, safe if cut off."""
+"""The metrics of a run: one JSON object a line, appended and never rewritten while a training runs."""
 
 from __future__ import annotations
 
 import csv
-import io
+import json
 import math
 from pathlib import Path
 
@@ -13,100 +13,84 @@ from skatemount.runs import atomic
 from skatemount.utils.errors import ConfigError
 
 STEP = "frames"
+OLD_SUFFIX = ".csv"
+"""Older versions wrote `metrics.csv`."""
 
 
-class MetricsCsv:
-    """Appends rows to a CSV file whose first column is `frames` (environment steps).
+class MetricsFile:
+    """Appends metrics to a file whose lines are ``{"frames": ..., "<metric>": ...}``.
 
-    A metric that was not reported leaves its cell empty. When a new metric appears the file is
-    rewritten with one more column, in one step.
+    A number that is not finite is written as null.
     """
 
     def __init__(self, path: Path, resume_at: int | None = None) -> None:
-        """Opens or starts the table.
+        """Open or create the file.
+
+        A last line that a crash cut off is dropped. A `metrics.csv` of an older version is converted and deleted.
 
         Args:
             path: The file.
-            resume_at: When going on from a checkpoint, its environment steps: rows beyond it, which
-                the resume_config run will write again, are dropped.
+            resume_at: Environment steps of the checkpoint that a run resumes from; later lines are dropped.
         """
-        self.path = path
-        self._columns: list[str] = [STEP]
-        rows: list[dict[str, str]] = []
-        if path.exists():
-            self._columns, rows = _read(path)
-            limit = math.inf if resume_at is None else resume_at
-            rows = [row for row in rows if float(row[STEP]) <= limit]
-        self._rewrite(rows)
-        self._file = path.open("a", encoding="utf-8", newline="")
+        old = path.with_suffix(OLD_SUFFIX)
+        source = path if path.exists() or not old.exists() else old
+        rows = _read(source) if source.exists() else []
+        rows = [row for row in rows if resume_at is None or row[STEP] <= resume_at]
+        atomic.write_text(path, "".join(map(_line, rows)))
+        old.unlink(missing_ok=True)
+        self._file = path.open("a", encoding="utf-8")
 
-    def append(self, metrics: dict[str, float], frames: int) -> None:
-        """Adds one row and hands it to the operating system.
+    def log(self, metrics: dict[str, float], frames: int) -> None:
+        """Write one line and hand it to the operating system.
 
         Args:
-            metrics: Values by column.
+            metrics: Numbers by name.
             frames: Environment steps so far.
         """
-        if new := [name for name in metrics if name not in self._columns]:
-            self._file.close()
-            _, rows = _read(self.path)
-            self._columns += new
-            self._rewrite(rows)
-            self._file = self.path.open("a", encoding="utf-8", newline="")
-        row = {STEP: str(frames), **{name: repr(value) for name, value in metrics.items()}}
-        self._file.write(_line([row.get(name, "") for name in self._columns]))
+        self._file.write(_line({STEP: frames, **metrics}))
         self._file.flush()
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         self._file.close()
-
-    def _rewrite(self, rows: list[dict[str, str]]) -> None:
-        lines = [self._columns, *([row.get(name, "") for name in self._columns] for row in rows)]
-        atomic.write_text(self.path, "".join(map(_line, lines)))
 
 
 def read_metrics(path: Path) -> dict[str, np.ndarray]:
-    """Reads a metrics table.
+    """Read a `metrics.jsonl`, or the `metrics.csv` of an older version.
 
     Args:
-        path: The CSV file.
+        path: The file.
 
     Returns:
-        A float64 array of shape [rows] for each column, not-a-number where a cell is empty.
+        For each metric a float64 array of shape [lines], nan where a line lacks it.
 
     Raises:
-        ConfigError: The file is missing or has no `frames` column.
+        ConfigError: The file is missing or holds something else.
     """
     try:
-        columns, rows = _read(path)
+        rows = _read(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-    return {name: np.array([_number(row[name]) for row in rows], float) for name in columns}
+    names = dict.fromkeys([STEP, *(name for row in rows for name in row)])
+    return {name: np.array([row.get(name, math.nan) for row in rows], float) for name in names}
 
 
-def _read(path: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Reads columns and rows, leaving out a last row that a crash cut off."""
+def _read(path: Path) -> list[dict[str, float]]:
     text = path.read_text(encoding="utf-8")
-    lines = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline="")))
-    if not lines and not text:
-        return [STEP], []
-    if not lines or lines[0][:1] != [STEP]:
-        raise ConfigError(f"{path}: not a metrics table, its first column has to be {STEP!r}")
-    columns = lines[0]
-    whole = (row for row in lines[1:] if len(row) == len(columns))
-    rows = [dict(zip(columns, row, strict=True)) for row in whole]
-    return columns, [row for row in rows if math.isfinite(_number(row[STEP]))]
-
-
-def _number(cell: str) -> float:
+    lines = text[: text.rfind("\n") + 1].splitlines()  # without a last line that a crash cut off
     try:
-        return float(cell)
-    except ValueError:
-        return math.nan
+        if path.suffix == OLD_SUFFIX:
+            header = next(csv.reader(lines[:1]), [STEP])
+            cells = [dict(zip(header, row)) for row in csv.reader(lines[1:]) if len(row) == len(header)]
+            return [
+                {STEP: int(float(row[STEP]))} | {k: float(v) for k, v in row.items() if v and k != STEP}
+                for row in cells
+            ]
+        rows = [{k: math.nan if v is None else v for k, v in json.loads(line).items()} for line in lines]
+        return [row | {STEP: int(row[STEP])} for row in rows]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ConfigError(f"{path}: not the metrics of a run; every line needs {STEP!r} ({error})") from error
 
 
-def _line(cells: list[str]) -> str:
-    buffer = io.StringIO(newline="")
-    csv.writer(buffer, lineterminator="\n").writerow(cells)
-    return buffer.getvalue()
+def _line(row: dict[str, float]) -> str:
+    return json.dumps({name: value if math.isfinite(value) else None for name, value in row.items()}) + "\n"

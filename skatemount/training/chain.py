@@ -1,7 +1,7 @@
-"""A curriculum by hand: a chain of stages, each starting from the last one's policy.
+"""A chain of stages: each stage starts from the policy of the stage before it.
 
-A chain is one run folder with a part for each stage (`1_gait`, `2_balance`, …). Where it stands is read from the parts'
-checkpoints alone, so that it can go on from wherever it was stopped; `stages.json` tells readers about it.
+A chain is one run folder with a part for each stage (`1_gait`, `2_balance`, …). Its state is read from the parts'
+checkpoints alone, so that it can resume wherever it was stopped; `stages.json` is a report for readers.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from skatemount.runs import atomic
 from skatemount.runs.checkpoint import load_training_state, read_card
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
-from skatemount.runs.lock import claimed
 from skatemount.runs.serialization import parse_json
+from skatemount.training.callbacks import Callback, gate_reached
 from skatemount.training.plots import plot_chain
 from skatemount.training.resume import apply_resume_overrides
-from skatemount.training.trainer import Trainer, gate_reached, sigterm_as_interrupt
+from skatemount.training.trainer import Trainer, sigterm_as_interrupt
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_count
 
@@ -40,10 +40,10 @@ class Part:
     """A stage of a chain.
 
     Attributes:
-        name: Of the stage.
-        folder: Where its run is or will be.
+        name: The stage's name.
+        folder: The folder of its run, which may not exist yet.
         link: Its gate and budget.
-        config: Its settings, but for the budget and the start, which follow from the stages before.
+        config: Its settings, except the budget and the initial policy, which follow from the stages before.
     """
 
     name: str
@@ -62,10 +62,10 @@ class Part:
         return 0 if self.latest is None else read_card(self.latest).frames
 
     def ended(self, budget: int) -> str | None:
-        """What ended it, ``gate`` or ``budget``; None while it has to go on.
+        """Return what ended it, ``gate`` or ``budget``; None while it needs more training.
 
         Args:
-            budget: Its frames.
+            budget: Its environment steps.
         """
         if self.latest is None:
             return None
@@ -82,11 +82,20 @@ class Chain:
         run: The chain's run folder.
         config: The chain's settings; its ``total_frames`` is for all stages together.
         stages: The settings of every stage.
-        overrides: What the user asked for, to be written down.
+        overrides: The overrides of the command line, which the run folders keep.
+        callbacks: As for `Trainer`; every stage's training calls them.
     """
 
-    def __init__(self, run: RunFolder, config: Config, stages: dict[str, Config], overrides: list[str]):
+    def __init__(
+        self,
+        run: RunFolder,
+        config: Config,
+        stages: dict[str, Config],
+        overrides: list[str],
+        callbacks: Sequence[Callback] = (),
+    ):
         self.run = run
+        self.callbacks = callbacks
         self.config = config
         self._overrides = overrides
         self.parts = [
@@ -96,12 +105,13 @@ class Chain:
         self._evaluated: dict[str, dict[str, Any]] = {}
 
     @classmethod
-    def begin(cls, config: Config, overrides: list[str]) -> Chain:
-        """Start a chain: compose the settings of every stage, and make the run folder.
+    def begin(cls, config: Config, overrides: list[str], callbacks: Sequence[Callback] = ()) -> Chain:
+        """Compose the settings of every stage, and create the run folder.
 
         Args:
             config: As composed from the command line, with ``+curriculum=<a chain>``.
-            overrides: What the user asked for; all but the curriculum's own apply to every stage.
+            overrides: The overrides of the command line; all but the curriculum's own apply to every stage.
+            callbacks: As for `Chain`.
 
         Raises:
             ConfigError: A setting that cannot be used in one of the stages.
@@ -122,16 +132,17 @@ class Chain:
         saved = {name: configuration.to_dict(stage) for name, stage in stages.items()}
         # Settings files may change before the chain is through.
         atomic.write_text(run.path / CONFIGS_FILE, yaml.safe_dump(saved, sort_keys=False, allow_unicode=True))
-        return cls(run, config, stages, overrides)
+        return cls(run, config, stages, overrides, callbacks)
 
     @classmethod
-    def resume(cls, run: RunFolder, config: Config, overrides: list[str]) -> Chain:
-        """Go on with a chain where it stands.
+    def resume(cls, run: RunFolder, config: Config, overrides: list[str], callbacks: Sequence[Callback] = ()) -> Chain:
+        """Open a chain that was stopped.
 
         Args:
             run: The chain's run folder.
             config: As composed from the command line.
-            overrides: What the user asked for.
+            overrides: The overrides of the command line.
+            callbacks: As for `Chain`.
 
         Raises:
             ConfigError: An override that cannot be changed in the middle of a run.
@@ -141,17 +152,17 @@ class Chain:
         try:
             values = yaml.safe_load(path.read_text(encoding="utf-8"))
         except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{path}: cannot be read, and the chain cannot go on without it") from error
+            raise ConfigError(f"{path}: cannot be read, and the chain cannot resume without it") from error
         stages = {name: configuration.from_dict(stage) for name, stage in values.items()}
         for each in (saved, *stages.values()):
             apply_resume_overrides(each, config, overrides)
-        return cls(run, saved, stages, overrides)
+        return cls(run, saved, stages, overrides, callbacks)
 
     def budget(self, place: int) -> int:
-        """Frames for a stage: its share, among the stages still to come, of what the ones before have left.
+        """Return a stage's environment steps: its share, among the stages to come, of what the earlier ones left.
 
         Args:
-            place: Of the stage in the chain, from 0.
+            place: The stage's place in the chain, from 0.
         """
         left = self.config.total_frames - sum(part.frames for part in self.parts[:place])
         shares = [part.link.budget for part in self.parts[place:]]
@@ -159,10 +170,10 @@ class Chain:
         return max(1, round(left * shares[0] / sum(shares)))
 
     def ended(self, place: int) -> str | None:
-        """What ended a stage, ``gate`` or ``budget``; None if it has to go on or to begin.
+        """Return what ended a stage, ``gate`` or ``budget``; None if it has to start or to go on.
 
         Args:
-            place: Of the stage in the chain, from 0.
+            place: The stage's place in the chain, from 0.
         """
         part = self.parts[place]
         if any(later.latest is not None for later in self.parts[place + 1 :]):
@@ -171,7 +182,7 @@ class Chain:
         return part.ended(self.budget(place))
 
     def train(self) -> None:
-        """Train what is left of the chain.
+        """Train the stages that have not ended.
 
         Raises:
             ConfigError: Nothing is left, or another process is training the chain.
@@ -179,9 +190,10 @@ class Chain:
         left = [place for place in range(len(self.parts)) if self.ended(place) is None]
         if not left:
             raise ConfigError(
-                f"total_frames={self.config.total_frames}: all stages of {self.run.path} have ended: give more to go on"
+                f"total_frames={self.config.total_frames}: all stages of {self.run.path} have ended; raise "
+                "total_frames to train the last one further"
             )
-        with claimed(self.run.path), sigterm_as_interrupt():
+        with self.run.lock(), sigterm_as_interrupt():
             try:
                 for place in left:
                     self._train(place)
@@ -204,7 +216,7 @@ class Chain:
         if part.link.gate is not None:
             end = f"at an evaluated success of {part.link.gate:.0%}, or {end}"
         print(f"stage {place + 1} of {total}, {part.name}: {config.stage.description}; it ends {end}")
-        trainer = Trainer(config, self._overrides, self.run)
+        trainer = Trainer(config, self._overrides, self.run, self.callbacks)
         print(trainer.describe(), flush=True)
         self.report()
         try:
@@ -220,14 +232,14 @@ class Chain:
         self.report()
 
     def _start(self, place: int) -> str | None:
-        """What a stage starts from: the stage before it; the first one from what the user names, or from nothing."""
+        """Return the initial policy: the stage before; for the first stage the one that the user names, or none."""
         if place:
             return str(self.parts[place - 1].folder)
         spec = self.config.init_from
         return None if spec == "stage" else spec
 
     def report(self) -> None:
-        """Write down what became of each stage so far, and draw the learning curve of them all."""
+        """Write what became of each stage so far, and draw the learning curves of all stages."""
         path = self.run.path / REPORT_FILE
         if path.is_file():
             known = {s["name"]: s["evaluated"] for s in parse_json(path.read_bytes(), path)["stages"]}
@@ -242,7 +254,7 @@ class Chain:
                     "starts_from": run.config["init_from"],
                     "budget": self.budget(place),
                     "frames": 0 if card is None else card.frames,
-                    "seconds": 0.0 if latest is None else round(load_training_state(latest)["elapsed"], 1),
+                    "seconds": 0.0 if latest is None else round(load_training_state(latest)["progress"]["elapsed"], 1),
                     "success": None if card is None else card.metrics.get("Evaluation/success"),
                     "ended": self.ended(place),
                 }
@@ -250,24 +262,25 @@ class Chain:
             stages.append(entry)
         document = {"total_frames": self.config.total_frames, "stages": stages}
         atomic.write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
-        tables = [(part.name, RunFolder(part.folder).metrics_csv) for part in self.parts]
+        tables = [(part.name, RunFolder(part.folder).metrics_file) for part in self.parts]
         # A table is there from a stage's first iteration on.
         if self.config.logger.csv and any(part.frames for part in self.parts):
             plot_chain(tables, self.run.curves_png, self.run.path.name)
 
 
-def chain_to_train(config: Config, overrides: Sequence[str]) -> Chain | None:
-    """The chain that the command line asks for, new or to be gone on with; None if it asks for a single stage.
+def chain_to_train(config: Config, overrides: Sequence[str], callbacks: Sequence[Callback] = ()) -> Chain | None:
+    """Return the chain that the command line asks for, new or resumed; None if it asks for a single stage.
 
     Args:
         config: As composed from the command line.
-        overrides: What the user asked for.
+        overrides: The overrides of the command line.
+        callbacks: As for `Chain`.
 
     Raises:
-        ConfigError: A setting that cannot be used, or a place in a chain at which it cannot go on.
+        ConfigError: A setting that cannot be used, or a checkpoint from which a chain cannot resume.
     """
     if config.resume is None:
-        return Chain.begin(config, list(overrides)) if config.curriculum.kind == "stages" else None
+        return Chain.begin(config, list(overrides), callbacks) if config.curriculum.kind == "stages" else None
     found = find_checkpoint(config.resume, Path(config.logger.root), setting="resume")
     run = RunFolder.open(found, setting="resume")
     if run.parent is None:
@@ -275,10 +288,10 @@ def chain_to_train(config: Config, overrides: Sequence[str]) -> Chain | None:
     latest = run.parent.latest
     if latest is None or found.resolve() != latest.resolve():
         raise ConfigError(
-            f"resume={config.resume}: a place within the chain of stages {run.parent.path}, which goes on from its "
-            f"newest checkpoint only: resume={run.parent.path}"
+            f"resume={config.resume}: a checkpoint within the chain of stages {run.parent.path}, which resumes from "
+            f"its newest checkpoint only: resume={run.parent.path}"
         )
-    return Chain.resume(run.parent, config, list(overrides))
+    return Chain.resume(run.parent, config, list(overrides), callbacks)
 
 
 def _about_the_curriculum(override: str) -> bool:

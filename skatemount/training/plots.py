@@ -15,10 +15,10 @@ from skatemount.utils.errors import ConfigError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
+COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
 TRAINING, EVALUATION, SECOND = "#1f77b4", "#d62728", "#2ca02c"
 
-# Title, (metric, colour, label) of each line, limits of the y axis.
+# Title, (metric, color, label) of each line, limits of the y axis.
 _PANELS = (
     (
         "success rate",
@@ -40,29 +40,29 @@ _PANELS = (
 )
 
 
-def plot_learning_curves(csv_path: Path, png_path: Path, title: str = "") -> None:
-    """Draws the learning curves of a run.
+def plot_learning_curves(metrics_path: Path, png_path: Path, title: str = "") -> None:
+    """Draw the learning curves of a run.
 
-    The x axis is environment steps; the upper one, on the first row, is time if the table has it.
-    Thin lines are the values, thick ones their running mean.
+    The x axis is environment steps; the upper one, on the first row, is time if the metrics have it. Thin lines are the
+    values, thick ones their running mean.
 
     Args:
-        csv_path: The run's `metrics.csv`.
+        metrics_path: The run's metrics, see `read_metrics`.
         png_path: The picture, replaced in one step.
-        title: Written above.
+        title: The picture's title.
 
     Raises:
-        ConfigError: The table is missing, not one, or has no rows yet.
+        ConfigError: The file is missing, holds something else, or has no rows yet.
     """
     # The object interface: no global figure list, no display, safe beside a user's own plots.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import EngFormatter, MaxNLocator
 
-    table = read_metrics(csv_path)
+    table = read_metrics(metrics_path)
     frames = table[STEP]
     if not len(frames):
-        raise ConfigError(f"{csv_path}: has no rows to plot yet")
+        raise ConfigError(f"{metrics_path}: has no rows to plot yet")
     figure = Figure(figsize=(12, 6.4), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     if title:
@@ -70,7 +70,7 @@ def plot_learning_curves(csv_path: Path, png_path: Path, title: str = "") -> Non
     axes = figure.subplots(2, 3, sharex=True)
     span = max(float(frames.max()), 1.0)
     for axis, (name, lines, limits) in zip(axes.flat, _PANELS, strict=True):
-        drawn = [_draw(axis, frames, table.get(key), colour, text) for key, colour, text in lines]
+        drawn = [_draw(axis, frames, table.get(key), color, text) for key, color, text in lines]
         axis.set_title(name, fontsize=10)
         axis.grid(alpha=0.25)
         axis.tick_params(labelsize=8)
@@ -96,18 +96,17 @@ def plot_learning_curves(csv_path: Path, png_path: Path, title: str = "") -> Non
 
 
 def plot_chain(runs: Sequence[tuple[str, Path]], png_path: Path, title: str = "") -> None:
-    """Draws success and reward of trainings that follow one another, one colour each, against all their steps.
+    """Draw success and reward of trainings that follow one another, one color each, over the sum of their steps.
 
     The upper x axis is time. Thick lines with dots are deterministic evaluations, thin ones the exploring policy.
 
     Args:
-        runs: What each training is called and its `metrics.csv`, in order; tables that are missing or empty are left
-            out.
+        runs: Name and metrics file of each training, in order; files that are missing or empty are left out.
         png_path: The picture, replaced in one step.
-        title: Written above.
+        title: The picture's title.
 
     Raises:
-        ConfigError: No table has rows yet.
+        ConfigError: No file has rows yet.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -125,15 +124,15 @@ def plot_chain(runs: Sequence[tuple[str, Path]], png_path: Path, title: str = ""
     steps, seconds = 0.0, 0.0
     all_steps, all_seconds = [], []
     for i, (name, table) in enumerate(tables):
-        colour = COLOURS[i % len(COLOURS)]
+        color = COLORS[i % len(COLORS)]
         frames = steps + table[STEP]
         elapsed = seconds + table.get("Perf/elapsed_s", np.full(len(frames), np.nan))
-        _draw(success, frames, table.get("Success/rate"), colour, "", faint=True)
+        _draw(success, frames, table.get("Success/rate"), color, "", faint=True)
         known = np.isfinite(evaluated := table.get("Evaluation/success", np.full(len(frames), np.nan)))
-        success.plot(frames[known], evaluated[known], color=colour, lw=1.8, marker="o", ms=3, label=name)
-        _draw(reward, frames, table.get("Train/mean_reward"), colour, name)
+        success.plot(frames[known], evaluated[known], color=color, lw=1.8, marker="o", ms=3, label=name)
+        _draw(reward, frames, table.get("Train/mean_reward"), color, name)
         for axis in (success, reward):
-            axis.axvspan(steps, frames.max(), color=colour, alpha=0.06, lw=0)
+            axis.axvspan(steps, frames.max(), color=color, alpha=0.06, lw=0)
         all_steps.append(frames)
         all_seconds.append(elapsed)
         steps = float(frames.max())
@@ -155,21 +154,21 @@ def plot_chain(runs: Sequence[tuple[str, Path]], png_path: Path, title: str = ""
 
 
 def _draw(
-    axis: Axes, frames: np.ndarray, values: np.ndarray | None, colour: str, label: str, faint: bool = False
+    axis: Axes, frames: np.ndarray, values: np.ndarray | None, color: str, label: str, faint: bool = False
 ) -> bool:
-    """Draws one metric, or its running mean alone if it should be faint; returns whether there was anything to draw."""
+    """Draw one metric, or only its running mean if it is faint; return whether there was anything to draw."""
     known = np.zeros(0, bool) if values is None else np.isfinite(values)
     if values is None or not known.any():
         return False
     x, y = frames[known], values[known]
     if faint:
-        axis.plot(x, _running_mean(y, len(y) // 40), color=colour, lw=1.2, alpha=0.45, label=label or None)
+        axis.plot(x, _running_mean(y, len(y) // 40), color=color, lw=1.2, alpha=0.45, label=label or None)
         return True
     if len(x) < 40:
-        axis.plot(x, y, color=colour, label=label, lw=1.6, marker="o", ms=3)
+        axis.plot(x, y, color=color, label=label, lw=1.6, marker="o", ms=3)
         return True
-    axis.plot(x, y, color=colour, lw=0.7, alpha=0.35)
-    axis.plot(x, _running_mean(y, len(y) // 40), color=colour, lw=1.7, label=label)
+    axis.plot(x, y, color=color, lw=0.7, alpha=0.35)
+    axis.plot(x, _running_mean(y, len(y) // 40), color=color, lw=1.7, label=label)
     return True
 
 
@@ -180,7 +179,7 @@ def _draw_learning_rate(axis: Axes, frames: np.ndarray, rate: np.ndarray | None)
         return
     rate = np.where(rate > 0, rate, np.nan)
     twin = axis.twinx()
-    # A schedule moves in steps; a running mean would show values that never were.
+    # A schedule moves in steps; a running mean would show values that it never had.
     known = np.isfinite(rate)
     twin.step(frames[known], rate[known], color=SECOND, lw=1.2, alpha=0.7, where="post")
     twin.set_yscale("log")
@@ -196,7 +195,7 @@ def _draw_learning_rate(axis: Axes, frames: np.ndarray, rate: np.ndarray | None)
 
 
 def _running_mean(values: np.ndarray, half_width: int) -> np.ndarray:
-    """Mean over up to `half_width` values to either side, fewer at the ends."""
+    """Return the mean over up to `half_width` values on either side, fewer at the ends."""
     sums = np.concatenate(([0.0], np.cumsum(values)))
     index = np.arange(len(values))
     low = np.maximum(index - half_width, 0)
@@ -212,7 +211,7 @@ def _add_time_axis(axis: Axes, frames: np.ndarray, elapsed_s: np.ndarray) -> Non
         return
     units = ((7200.0, 3600.0, "h"), (120.0, 60.0, "min"), (0.0, 1.0, "s"))
     unit, name = next(u[1:] for u in units if elapsed_s[known].max() >= u[0])
-    # Time need not grow evenly with steps, so ticks sit where the table says each time was reached.
+    # Time does not grow evenly with steps, so each tick is where the metrics reached its time.
     time = np.concatenate(([0.0], np.maximum.accumulate(elapsed_s[known]) / unit))
     steps = np.concatenate(([0.0], frames[known]))
     ticks = [t for t in MaxNLocator(5).tick_values(0.0, time[-1]) if 0.0 <= t <= time[-1]]

@@ -11,12 +11,11 @@ from rich.markup import escape
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
-from skatemount.runs.loggers import as_number
 from skatemount.utils.formatting import format_count, format_duration
 
 
 class Progress:
-    """Shows how a training goes: a live table on a terminal, else a plain line now and then."""
+    """Display of a training's progress: a live table on a terminal, else a plain line every few seconds."""
 
     def __init__(
         self,
@@ -26,14 +25,14 @@ class Progress:
         initial_frames: int = 0,
         console: Console | None = None,
     ) -> None:
-        """Prepares the display; nothing is shown before the first report.
+        """Prepare the display; it shows nothing before the first report.
 
         Args:
             total_frames: Environment steps at which the training ends.
-            title: What is trained.
+            title: Name of the training.
             every_s: Least time between two plain lines, in seconds.
-            initial_frames: Environment steps already done when resuming, for the time left.
-            console: Where to show it; standard output if not given.
+            initial_frames: Environment steps already trained when a run resumes, for the time left.
+            console: Output; standard output if not given.
         """
         self._total = total_frames
         self._title = title
@@ -43,53 +42,92 @@ class Progress:
         self._started = time.monotonic()
         self._metrics: dict[str, float] = {}
         self._frames = initial_frames
+        self._evaluated: int | None = None
         self._line_at = -math.inf
-        self._line_frames: int | None = None
+        self._line_frames: int | None = initial_frames
         self._live: Live | None = None
 
-    def update(self, frames: int, metrics: dict[str, float]) -> None:
-        """Takes in one report; a metric that is not in it keeps its last value.
+    def log(self, metrics: dict[str, float], frames: int) -> None:
+        """Show the metrics of an iteration; a metric that is missing keeps its last value.
 
         Args:
+            metrics: Numbers by name.
             frames: Environment steps so far.
-            metrics: Numbers by name, as for `MetricsLog.log`.
         """
         self._frames = frames
-        self._metrics.update({name: as_number(name, value) for name, value in metrics.items()})
+        self._metrics.update(metrics)
+        self._evaluated = None
         if self._console.is_terminal:
-            if self._live is None:
-                # Without its own thread: that would compete with the physics.
-                self._live = Live(console=self._console, auto_refresh=False)
-                self._live.start()
-            self._live.update(self._table(), refresh=True)
-        elif time.monotonic() - self._line_at >= self._every_s:
+            self._refresh()
+        elif self._is_time():
             self._print_line()
 
+    def show_evaluation(self, done: int, total: int) -> None:
+        """Show how much of an evaluation is done; for `Evaluator.run`.
+
+        Args:
+            done: Control steps done.
+            total: Control steps to do.
+        """
+        percent = 100 * done // total
+        if percent == self._evaluated:
+            return
+        self._evaluated = percent
+        if self._console.is_terminal:
+            self._refresh()
+        elif self._is_time():
+            self._print(f"{self._title}  evaluating {percent}%")
+
     def close(self) -> None:
-        """Leaves the last state on display."""
+        """Leave the last state on display."""
         if self._live is not None:
             self._live.stop()
             self._live = None
-        elif self._metrics and not self._console.is_terminal and self._line_frames != self._frames:
+        elif not self._console.is_terminal and self._line_frames != self._frames:
             self._print_line()
+        self._metrics = {}
 
     def __enter__(self) -> Progress:
-        """Returns itself, to be closed at the end of a `with` block."""
+        """Return itself; the `with` block closes it."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Closes the display."""
+        """Close the display."""
         self.close()
+
+    def _is_time(self) -> bool:
+        return time.monotonic() - self._line_at >= self._every_s
+
+    def _print(self, line: str) -> None:
+        print(line, file=self._console.file, flush=True)
+        self._line_at = time.monotonic()
 
     def _print_line(self) -> None:
         done = min(self._frames / max(self._total, 1), 1.0)
         head = f"{self._title}  {format_count(self._frames)}/{format_count(self._total)} ({done:.0%})"
-        cells = [f"{name} {value}" for name, value in self._cells().items()]
-        print("  ".join([head, *cells]), file=self._console.file, flush=True)
-        self._line_at = time.monotonic()
+        self._print("  ".join([head, *(f"{name} {value}" for name, value in self._cells().items())]))
         self._line_frames = self._frames
 
+    def _refresh(self) -> None:
+        if self._live is None:
+            # Without a thread of its own, which would compete with the physics.
+            self._live = Live(console=self._console, auto_refresh=False)
+            self._live.start()
+        self._live.update(self._table(), refresh=True)
+
     def _table(self) -> Table:
+        panel = Table.grid()
+        done = f"{format_count(self._frames)} of {format_count(self._total)} steps"
+        panel.add_row(f"[bold]{escape(self._title)}[/bold]  {done}")
+        if self._metrics:
+            panel.add_row(ProgressBar(total=max(self._total, 1), completed=self._frames, width=46))
+            panel.add_row(self._grid())
+        if self._evaluated is not None:
+            panel.add_row(f"evaluating {self._evaluated}%")
+            panel.add_row(ProgressBar(total=100, completed=self._evaluated, width=46))
+        return panel
+
+    def _grid(self) -> Table:
         grid = Table.grid(padding=(0, 2))
         for _ in range(2):
             grid.add_column(style="dim", min_width=9)
@@ -98,15 +136,10 @@ class Progress:
         half = (len(cells) + 1) // 2
         for i in range(half):
             grid.add_row(*cells[i], *(cells[i + half] if i + half < len(cells) else ("", "")))
-        panel = Table.grid()
-        done = f"{format_count(self._frames)} of {format_count(self._total)} steps"
-        panel.add_row(f"[bold]{escape(self._title)}[/bold]  {done}")
-        panel.add_row(ProgressBar(total=max(self._total, 1), completed=self._frames, width=46))
-        panel.add_row(grid)
-        return panel
+        return grid
 
     def _cells(self) -> dict[str, str]:
-        """Names and values to show, only those that are known."""
+        """Return the names and values that are known."""
         own = time.monotonic() - self._started
         rate = (self._frames - self._initial) / own if own > 0 else 0.0
         get = self._metrics.get

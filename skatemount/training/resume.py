@@ -1,4 +1,4 @@
-"""Settings of a run that goes on."""
+"""Settings of a run that resumes."""
 
 from __future__ import annotations
 
@@ -13,17 +13,14 @@ from skatemount.utils.errors import ConfigError
 
 
 def resume_config(config: Config, overrides: list[str]) -> Config:
-    """The settings of a run that goes on: what it saved, and what the command line changes in it.
+    """Return the settings that a resumed run saved, with the changes of the command line.
 
     Args:
-        config: As composed from the command line.
-        overrides: What the user asked for.
-
-    Returns:
-        The same settings unless ``resume`` is set.
+        config: As composed from the command line; returned as it is unless ``resume`` is set.
+        overrides: The overrides of the command line.
 
     Raises:
-        ConfigError: Nothing to go on with, or see `apply_resume_overrides`.
+        ConfigError: There is no such run, or see `apply_resume_overrides`.
     """
     if config.resume is None:
         return config
@@ -35,21 +32,21 @@ def resume_config(config: Config, overrides: list[str]) -> Config:
 
 
 def apply_resume_overrides(saved: Config, config: Config, overrides: list[str]) -> None:
-    """Change in a run's saved settings what the user asks for and may change in the middle of a run.
+    """Apply those overrides to a run's saved settings that may change in the middle of a run.
 
     Args:
         saved: The run's settings, changed in place.
         config: As composed from the command line.
-        overrides: What the user asked for.
+        overrides: The overrides of the command line.
 
     Raises:
-        ConfigError: An override that cannot be changed, or a value that does not go with what was saved.
+        ConfigError: A setting that cannot be changed, or a value that contradicts a saved one.
     """
     may_change = ("total_frames", "torch_threads", "physics.threads")
     for override in overrides:
         key = override.lstrip("+~").partition("=")[0]
         if key in ("resume", "logger.root"):
-            # They say where the run is found.
+            # They only say where the run is.
             continue
         named = key in ("logger.name", "logger.experiment")
         if named or not (key in may_change or key.startswith("logger.")):

@@ -1,10 +1,10 @@
-"""Training: collect, learn, write down what happened, until the frames are spent or the stage's gate is reached."""
+"""Training: collect, learn and call the callbacks, until the frames are spent or the stage's gate is reached."""
 
 from __future__ import annotations
 
+import shlex
 import signal
-import time
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
@@ -31,25 +31,24 @@ from skatemount.models.actor_critic import ActorCritic
 from skatemount.models.symmetry import Reflection
 from skatemount.runs import checkpoint
 from skatemount.runs.folder import RunFolder
-from skatemount.runs.lock import claimed
-from skatemount.runs.loggers import MetricsLog
-from skatemount.training.plots import plot_learning_curves
+from skatemount.training.callbacks import Callback, arrange_callbacks
 from skatemount.training.progress import Progress
-from skatemount.utils.devices import rng_state, seconds, set_rng_state
+from skatemount.training.state import Attributes, CallbackStates, Generators, Stateful, load_parts, save_parts
+from skatemount.utils.devices import seconds
 from skatemount.utils.errors import ConfigError
-from skatemount.utils.formatting import format_count
 from skatemount.utils.memory import disable_malloc_trim
 
 
 def set_up_process(config: Config) -> None:
-    """Torch's threads and matrix precision, and memory; physics and torch take turns, so both may have every core."""
+    """Set torch's threads and matrix precision, and the memory allocator, for this process."""
+    # Physics and torch take turns, so both may use every core.
     disable_malloc_trim()
     torch.set_num_threads(config.torch_threads or available_cores())
     torch.set_float32_matmul_precision("highest" if config.precision == "highest" else "medium")
 
 
 def make_networks(config: Config, mdp: Mdp) -> ActorCritic:
-    """Untrained networks for what is seen and done in a task."""
+    """Return untrained networks for the observations and actions of a task."""
     observation, privileged = mdp.observation, mdp.privileged
     reflections = None
     if config.network.symmetric:
@@ -61,17 +60,40 @@ def make_networks(config: Config, mdp: Mdp) -> ActorCritic:
 class Trainer:
     """One training run.
 
+        trainer = Trainer(compose("balance"), callbacks=[MyCallback()])
+        evaluation = trainer.train()
+        trainer.close()
+
     Args:
         config: Every setting.
-        overrides: What the user asked for, to be written down.
-        parent: The run that this one becomes a part of, in a folder called by ``logger.name``; a run of its own if
-            none.
+        overrides: The overrides of the command line, which the run folder keeps.
+        parent: The run that this one becomes a part of, in a folder named ``logger.name``; a run of its own if none.
+        callbacks: Callbacks that run in addition to the default ones; see `skatemount.training.callbacks`. One that is
+            a subclass of a default one, such as `EvaluationCallback`, replaces it.
+
+    Attributes:
+        config: Every setting.
+        run: The run folder.
+        task, env: The task, and its worlds.
+        networks, ppo: Actor and critic, and the algorithm that trains them.
+        curriculum: The curriculum; none if start states are the stage's own.
+        callbacks: All callbacks, in the order in which they run.
+        display: Shows the progress.
+        frames, iteration, elapsed: Environment steps, iterations and seconds trained so far.
+        saved_frames: Environment steps at the last checkpoint.
+        started_from: The policy or checkpoint that the training started from; none if it starts from scratch.
 
     Raises:
         ConfigError: A setting that cannot be used, or a policy that does not fit the task.
     """
 
-    def __init__(self, config: Config, overrides: list[str] | None = None, parent: RunFolder | None = None):
+    def __init__(
+        self,
+        config: Config,
+        overrides: list[str] | None = None,
+        parent: RunFolder | None = None,
+        callbacks: Iterable[Callback] = (),
+    ):
         self.config = config
         set_up_process(config)
         torch.manual_seed(config.seed)
@@ -100,15 +122,17 @@ class Trainer:
             self.env.set_start_sampler(self.curriculum.sample_poses)
         if config.curriculum.stuck_start_fraction:
             StuckStateBuffer(self.env, config.curriculum.stuck_start_fraction)
-        self.frames = self.iteration = self._saved = 0
+        self.callbacks = arrange_callbacks(callbacks)
+        self.frames = self.iteration = self.saved_frames = 0
         self.elapsed = 0.0
+        self._stopped = False
         self._evaluator: Evaluator | None = None
         self._collect_normalizer_stats = False
         if config.resume is not None:
             self.run = RunFolder.open(config.resume)
             self._restore(Path(config.resume))
         else:
-            self.started_from = self._initialise()
+            self.started_from = self._initialize()
             if self.started_from is not None:
                 self.ppo.use_min_learning_rate()
                 if config.stage.renormalize:
@@ -120,9 +144,10 @@ class Trainer:
                 self.run = RunFolder.create(logger.root, logger.experiment, name, values, overrides or [])
             else:
                 self.run = parent.create_part(name, values, overrides or [])
+        self.display = Progress(config.total_frames, config.stage.name, config.logger.progress_every, self.frames)
 
-    def _initialise(self) -> str | None:
-        """Take over the policy that the settings name, if they name one."""
+    def _initialize(self) -> str | None:
+        """Load the policy that the settings name, if any, and return its name."""
         spec = self.config.init_from
         if spec == "stage":
             spec = self.config.stage.init_from
@@ -130,95 +155,103 @@ class Trainer:
             return None
         agent = TrainedPolicy.load(spec, self.config.logger.root, "init_from")
         load_pretrained(self.networks, agent, self.task, self.config.init_from_expand, f"init_from={spec}")
-        # How widely to explore is for this run to say: what walking needed is too much for standing.
+        # This run sets how widely to explore: a policy that learned to walk explores too much for standing.
         self.networks.limit_std(self.config.network.max_std)
         return spec
 
-    def _restore(self, folder: Path) -> None:
-        """Take over everything that a checkpoint of the same run holds."""
-        state = checkpoint.load_training_state(folder)
-        device = self.env.physics.device
-        if (there := state.get("device", device.type)) != device.type:
-            raise ConfigError(
-                f"physics.device={device.type}: {folder} was trained on {there}, and goes on there only; else use "
-                "init_from"
-            )
-        self.networks.load_state_dict(state["networks"])
-        for normalizer, behind in zip(self.networks.normalizers, state.get("behind", [])):
-            normalizer.count -= behind
-        self.ppo.load_state_dict(state["ppo"])
-        self.frames, self.iteration = state["frames"], state["iteration"]
-        self._saved = self.frames
-        self.elapsed = state["elapsed"]
+    @property
+    def parts(self) -> dict[str, Stateful]:
+        """The named parts of the training state, which a checkpoint keeps."""
+        parts: dict[str, Stateful] = {"networks": self.networks, "ppo": self.ppo}
         if self.curriculum is not None:
-            self.curriculum.load_state_dict(state["curriculum"])
+            parts["curriculum"] = self.curriculum
+        return parts | {
+            "generators": Generators(self.env.physics.device, minibatches=self._minibatch_generator),
+            "env": Generators(generator=self.env.generator),
+            "progress": Attributes(self, "frames", "iteration", "elapsed"),
+            "callbacks": CallbackStates(self.callbacks),
+        }
+
+    def _restore(self, folder: Path) -> None:
+        """Restore everything from a checkpoint of the same run."""
+        state = checkpoint.load_training_state(folder)
+        device = self.env.physics.device.type
+        if (there := state.get("progress", {}).get("device", device)) != device:
+            raise ConfigError(
+                f"physics.device={device}: {folder} was trained on {there} and resumes only there; init_from takes its "
+                "policy to another device"
+            )
+        load_parts(self.parts, state, str(folder))
+        self.saved_frames = self.frames
+        if self.curriculum is not None:
             self.env.set_start_sampler(self.curriculum.sample_poses)
-        set_rng_state(state["torch_rng"], device)
-        self._minibatch_generator.set_state(state["order_rng"])
-        self.env.generator.set_state(state["env_rng"])
         self.ppo.step_schedules(self.frames, self.config.total_frames)
         self.started_from = str(folder)
 
     def describe(self) -> str:
-        """What is trained, where from and where to, two lines."""
+        """Return two lines: the stage, the worlds, the network and the initial policy; the run folder."""
         config = self.config
         return (
             f"{config.stage.name}: {self.env.num_worlds} worlds ({self.env.physics.description}), "
-            f"actor {list(config.network.actor)}, starts from {self.started_from or 'nothing'}\n"
+            f"actor {list(config.network.actor)}, starts from {self.started_from or 'scratch'}\n"
             f"run: {self.run.path}"
         )
 
+    @property
+    def stopping(self) -> bool:
+        """Whether the present iteration is the last one: the frames are spent, or `stop` was called."""
+        return self._stopped or self.frames >= self.config.total_frames
+
+    def stop(self) -> None:
+        """End the training after the present iteration; the callbacks that follow still run."""
+        self._stopped = True
+
     def train(self) -> Evaluation | None:
-        """Train until the frames are spent or the stage's gate is reached.
+        """Train until the frames are spent, the stage's gate is reached, or a callback stops it.
 
         Returns:
-            The evaluation of the final policy, if the settings ask for one.
+            The evaluation of the final policy, if ``logger.final_episodes`` is above 0.
 
         Raises:
             ConfigError: Nothing is left to train, or another process is training in the same run folder.
-            FloatingPointError: Something is not finite any more; the last checkpoint is from before that.
-            KeyboardInterrupt: Ctrl-C or SIGTERM; what was trained, but for the first iteration, is in a checkpoint.
+            FloatingPointError: A value is not finite; the last checkpoint is from before.
+            KeyboardInterrupt: Ctrl-C or SIGTERM; all complete iterations are in a checkpoint.
         """
         if self.frames >= self.config.total_frames:
             raise ConfigError(
-                f"total_frames={self.config.total_frames} are already trained ({self.frames}): give more to go on"
+                f"total_frames={self.config.total_frames}: {self.frames} frames are already trained; raise "
+                "total_frames above that"
             )
-        with claimed(self.run.path):
+        with self.run.lock(), sigterm_as_interrupt():
             self._train()
         episodes = self.config.logger.final_episodes
-        return self._evaluate(episodes) if episodes else None
+        if not episodes:
+            return None
+        try:
+            return self.evaluate(episodes, self.display.show_evaluation)
+        finally:
+            self.display.close()
 
     def _train(self) -> None:
-        config, logger = self.config, self.config.logger
-        log = MetricsLog(
-            self.run, tensorboard=logger.tensorboard, csv=logger.csv, resume_at=self.frames if self.frames else None
-        )
-        progress = Progress(config.total_frames, config.stage.name, logger.progress_every, self.frames)
-        drawn = time.monotonic()
-        with sigterm_as_interrupt(), log, progress, closing(self.iterations()) as iterations:
-            try:
+        try:
+            self._call("on_train_start")
+            with closing(self.iterations()) as iterations:
                 for metrics in iterations:
-                    last = self.frames >= config.total_frames
-                    if self._due(logger.evaluate_every) or (last and logger.evaluate_every):
-                        metrics |= self._evaluate(logger.evaluate_episodes).metrics()
-                        last = last or gate_reached(config.stage.gate, metrics)
-                    log.log(metrics, self.frames)
-                    progress.update(self.frames, metrics)
-                    if self._due(logger.checkpoint_every) or "Evaluation/success" in metrics or last:
-                        self.save(metrics)
-                    if last or time.monotonic() - drawn > logger.plot_every:
-                        self.plot()
-                        drawn = time.monotonic()
-                    if last:
+                    self._call("on_iteration_end", metrics)
+                    if self.stopping:
                         break
-            except KeyboardInterrupt:
-                # What is saved already has perhaps been evaluated, and half an iteration more does not make it better.
-                if self.frames != self._saved:
-                    self.save({})
-                raise
+        except KeyboardInterrupt:
+            self._call("on_interrupt")
+            raise
+        finally:
+            self._call("on_train_end")
+
+    def _call(self, hook: str, *arguments: Any) -> None:
+        for callback in self.callbacks:
+            getattr(callback, hook)(self, *arguments)
 
     def iterations(self) -> Generator[dict[str, float]]:
-        """Collect and learn, over and over, without an end.
+        """Collect and learn, without an end; of the callbacks, only `on_batch_collected` runs.
 
         Yields:
             The metrics of an iteration.
@@ -241,6 +274,8 @@ class Trainer:
             mark = started
             for batch in collector:
                 collected = seconds(device)
+                self._call("on_batch_collected", batch)
+                begun = seconds(device)
                 metrics = self._learn(batch)
                 self.frames += batch_frames
                 self.iteration += 1
@@ -250,14 +285,10 @@ class Trainer:
                 if lost := self.env.physics.overflowed():
                     raise ConfigError(lost)
                 metrics |= self.env.statistics.pop()
-                if self.curriculum is not None:
-                    self.curriculum.update()
-                    self.env.set_start_sampler(self.curriculum.sample_poses)
-                    metrics |= self.curriculum.metrics()
                 metrics |= {
                     "Perf/total_fps": batch_frames / (now - mark),
                     "Perf/collection_time": collected - mark,
-                    "Perf/learning_time": now - collected,
+                    "Perf/learning_time": now - begun,
                     "Perf/elapsed_s": self.elapsed,
                 }
                 yield metrics
@@ -267,56 +298,41 @@ class Trainer:
 
     def _learn(self, batch: TensorDictBase) -> dict[str, float]:
         if self._collect_normalizer_stats:
-            # The actions of this batch are those of a policy that saw through the old statistics.
+            # The policy chose the actions of this batch with the old statistics.
             self.networks.observe(batch)
             self._collect_normalizer_stats = False
             return {}
         return self.ppo.update(batch)
 
-    def _due(self, every: int) -> bool:
-        return every > 0 and self.iteration % every == 0
+    def evaluate(self, episodes: int, progress: Callable[[int, int], None] | None = None) -> Evaluation:
+        """Evaluate the policy in the training's task, with deterministic actions and seeds that training never uses.
 
-    def _evaluate(self, episodes: int) -> Evaluation:
+        Args:
+            episodes: Number of episodes.
+            progress: Called with the control steps done and to do.
+        """
         if self._evaluator is None:
             self._evaluator = Evaluator(self.config, NUM_WORLDS, self.config.seed + EVALUATION_SEED)
-        return self._evaluator.run(self.networks, episodes)
-
-    def plot(self) -> None:
-        """Draw the learning curves, if there is a table to draw them from, and where the curriculum is."""
-        name = self.run.path.name
-        if self.config.logger.csv:
-            plot_learning_curves(self.run.metrics_csv, self.run.curves_png, title=name)
-        if self.curriculum is not None:
-            self.curriculum.draw(self.run.curriculum_png, f"{name}, {format_count(self.frames)} steps")
+        return self._evaluator.run(self.networks, episodes, progress)
 
     def save(self, metrics: dict[str, float]) -> None:
         """Write a checkpoint.
 
         Args:
-            metrics: Of the last iteration; ``Evaluation/success`` and ``Evaluation/feet_on_board`` decide which is
-                the best.
+            metrics: Metrics of the last iteration; ``Evaluation/success`` and ``Evaluation/feet_on_board`` decide which
+                checkpoint is the best.
         """
         score = None
         if "Evaluation/success" in metrics:
             score = metrics["Evaluation/success"] + 0.01 * metrics["Evaluation/feet_on_board"]
         card = make_policy_card(self.config, self.task, self.frames, metrics)
-        state: dict[str, Any] = {
-            "networks": dict(self.networks.state_dict()),
-            "ppo": self.ppo.state_dict(),
-            "frames": self.frames,
-            "iteration": self.iteration,
-            "elapsed": self.elapsed,
-            "curriculum": None if self.curriculum is None else self.curriculum.state_dict(),
-            "device": self.env.physics.device.type,
-            "torch_rng": rng_state(self.env.physics.device),
-            "order_rng": self._minibatch_generator.get_state(),
-            "env_rng": self.env.generator.get_state(),
-        }
+        state = save_parts(self.parts)
+        state["progress"]["device"] = self.env.physics.device.type
         folder = self.run.checkpoint(self.frames)
         checkpoint.save_checkpoint(folder, {MODULE: self.networks}, card, state)
         self.run.mark_checkpoint(folder, score)
         checkpoint.keep_last(self.run.checkpoints, self.config.logger.keep_checkpoints, protect=self.run.best)
-        self._saved = self.frames
+        self.saved_frames = self.frames
 
     def close(self) -> None:
         """Stop the engines."""
@@ -325,14 +341,21 @@ class Trainer:
             self._evaluator.close()
 
 
-def gate_reached(gate: float | None, metrics: dict[str, Any]) -> bool:
-    """Whether a deterministic evaluation among the metrics, if there is one, reached a stage's gate."""
-    return gate is not None and metrics.get("Evaluation/success", -1.0) >= gate
+def next_commands(run: RunFolder) -> str:
+    """Return the commands that evaluate and film a run's latest policy, one a line, to be pasted into a shell.
+
+    The suite is the first one that is named after the run's stage; the training's own task if there is none.
+    """
+    stage = run.config["stage"]["name"] if run.latest is None else checkpoint.read_card(run.latest).stage
+    policy = f"checkpoint={run.path}"
+    suite = [f"suite={name}" for name in configuration.suites() if stage in name.split("-")][:1]
+    evaluate = ["python", "-m", "skatemount.evaluate", policy, *suite]
+    return f"next:\n  {shlex.join(evaluate)}\n  {shlex.join(['python', '-m', 'skatemount.record', policy])}"
 
 
 @contextmanager
 def sigterm_as_interrupt() -> Iterator[None]:
-    """Let a request to end (SIGTERM) end the run as Ctrl-C does."""
+    """Let SIGTERM end the block as Ctrl-C does."""
 
     def interrupt(signum: int, frame: Any) -> None:
         raise KeyboardInterrupt

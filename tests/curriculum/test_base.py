@@ -81,7 +81,7 @@ def test_a_curriculum_of_ones_own_is_trained_with(tmp_path: Path, monkeypatch: p
     assert math.isclose(float(trainer.env.sim.board_pos_base[:, :2].norm(dim=1).mean()), 0.8, abs_tol=0.1)
     trainer.train()
     trainer.close()
-    assert "Curriculum/ended" in trainer.run.metrics_csv.read_text()
+    assert "Curriculum/ended" in trainer.run.metrics_file.read_text()
     assert "64 steps" in trainer.run.curriculum_png.read_text()
 
 

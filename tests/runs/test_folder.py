@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -221,3 +222,38 @@ def test_a_run_leads_to_its_newest_part(runs_root: Path) -> None:
     with pytest.raises(ConfigError) as error:
         whole.create_part("1_gait", {}, [])
     assert "1_gait: exists already" in one_line(error)
+
+
+LOCK = """
+import sys
+from pathlib import Path
+from skatemount.runs.folder import RunFolder
+
+with RunFolder(Path(sys.argv[1])).lock():
+    print("locked", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_run_is_trained_by_one_process_at_a_time(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", LOCK, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None and other.stdout.readline() == "locked\n"
+        with pytest.raises(ConfigError) as error, RunFolder(tmp_path).lock():
+            pass
+        assert str(tmp_path) in one_line(error) and "another process" in one_line(error)
+        # Even a process that is killed leaves nothing behind that would keep others out.
+        other.kill()
+    for _ in range(2):
+        with RunFolder(tmp_path).lock():
+            pass
+
+
+def test_the_metrics_of_an_older_version_are_found(runs_root: Path) -> None:
+    run = make_run(runs_root)
+    assert run.metrics_file.name == "metrics.jsonl"
+    (run.path / "metrics.csv").touch()
+    assert run.metrics_file.name == "metrics.csv"
+    (run.path / "metrics.jsonl").touch()
+    assert run.metrics_file.name == "metrics.jsonl"

@@ -15,11 +15,11 @@ from tiny import BATCH, SILENT, TINY
 from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import compose
 from skatemount.curriculum.config import StageLink
-from skatemount.losses.ppo import PPO
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
 from skatemount.train import train
-from skatemount.training.chain import Chain
+from skatemount.training.callbacks import Callback, EvaluationCallback
+from skatemount.training.chain import Chain, chain_to_train
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
@@ -46,6 +46,15 @@ def command(root: Path, *overrides: str) -> RunFolder:
         given = [o for o in given if o.startswith(may) or o in overrides]
     train(compose(None, given), given)
     return RunFolder.open(root / (root / "latest").read_text().strip())
+
+
+def command_with(callbacks: list[Callback], root: Path, *overrides: str) -> RunFolder:
+    """Train the chain with callbacks, and return its run."""
+    given = [*TINY, *SILENT, f"logger.root={root}", *overrides]
+    chain = chain_to_train(compose(None, given), given, callbacks)
+    assert chain is not None
+    chain.train()
+    return chain.run
 
 
 def weights(run: Path) -> dict[str, torch.Tensor]:
@@ -105,50 +114,56 @@ def test_the_chains_policy_is_that_of_its_last_stage(chain: RunFolder) -> None:
     assert TrainedPolicy.load(str(chain.path / "1_balance")).card.stage == "balance"
 
 
-def test_a_stage_takes_over_everything_of_the_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stage_takes_over_everything_of_the_policy(tmp_path: Path) -> None:
     begun: list[dict[str, torch.Tensor]] = []
-    original = Trainer.train
 
-    def spy(self: Trainer) -> Any:
-        begun.append({key: value.clone() for key, value in self.networks.state_dict().items()})
-        return original(self)
+    class Spy(Callback):
+        def on_train_start(self, trainer: Trainer) -> None:
+            begun.append({key: value.clone() for key, value in trainer.networks.state_dict().items()})
 
-    monkeypatch.setattr(Trainer, "train", spy)
-    run = command(tmp_path, *TWO, f"total_frames={4 * BATCH}")
+    run = command_with([Spy()], tmp_path, *TWO, f"total_frames={4 * BATCH}")
     ended = weights(run.path / "1_balance")
     assert same(begun[1], ended)
-    # The deviation of the exploration and the normaliser's statistics are in there, and they have moved.
+    # The deviation of the exploration and the normalizer's statistics are in there, and they have moved.
     moved = {key for key in ended if not torch.equal(begun[0][key], ended[key])}
-    assert {"actor.module.0.module.1.parameter", "normalizers.0.mean", "normalizers.0.count"} <= moved
+    assert any(key.endswith(".parameter") for key in moved)
+    assert {"normalizers.0.mean", "normalizers.0.count"} <= moved
 
 
-def test_a_stage_may_take_its_own_statistics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stage_may_take_its_own_statistics(tmp_path: Path) -> None:
     """Those of the stage before are forgotten; nothing is learned from the batch that gives the new ones."""
-    learned: list[str] = []
-    update = PPO.update
+    seen: list[float] = []
+    learned: list[bool] = []
 
-    def spy(self: PPO, batch: Any) -> dict[str, float]:
-        learned.append(str(float(self.networks.normalizers[0].count[0])))
-        return update(self, batch)
+    class Spy(Callback):
+        def on_batch_collected(self, trainer: Trainer, batch: Any) -> None:
+            seen.append(float(trainer.networks.normalizers[0].count.unique()))
 
-    monkeypatch.setattr(PPO, "update", spy)
+        def on_iteration_end(self, trainer: Trainer, metrics: dict[str, float]) -> None:
+            learned.append("Loss/kl" in metrics)
+
     given = [*TWO, f"total_frames={4 * BATCH}"]
-    old = command(tmp_path / "a", *given, "curriculum.stages.balance.renormalize=false")
+    old = command_with([Spy()], tmp_path / "a", *given, "curriculum.stages.balance.renormalize=false")
     # A state and its mirror image count.
-    assert learned == [f"{2 * i * BATCH:.1f}" for i in (0, 1, 2, 3)]
+    assert seen == [2 * i * BATCH for i in (0, 1, 2, 3)] and all(learned)
+    seen.clear()
     learned.clear()
-    new = command(tmp_path / "b", *given, "curriculum.stages.mount.renormalize=true")
-    assert learned == [f"{2 * i * BATCH:.1f}" for i in (0, 1, 1)]
+    new = command_with([Spy()], tmp_path / "b", *given, "curriculum.stages.mount.renormalize=true")
+    assert seen == [2 * i * BATCH for i in (0, 1, 0, 1)]
+    assert learned == [True, True, False, True]
     counts = [weights(run.path)["normalizers.1.count"].unique() for run in (old, new)]
     assert counts == [8 * BATCH, 4 * BATCH]
 
 
-def test_a_gate_ends_a_stage_and_the_later_ones_get_what_is_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_gate_ends_a_stage_and_the_later_ones_get_what_is_left(tmp_path: Path) -> None:
     rates = iter([0, 3, 0, 0, 0, 0, 0, 0])
-    monkeypatch.setattr(Trainer, "_evaluate", lambda self, n: evaluated(next(rates) / 4))
-    run = command(tmp_path, *TWO, *EVALUATED, f"total_frames={8 * BATCH}", "curriculum.stages.balance.gate=0.75")
+
+    class Rates(EvaluationCallback):
+        def evaluate(self, trainer: Trainer) -> Any:
+            return evaluated(next(rates) / 4)
+
+    gate = [*EVALUATED, f"total_frames={8 * BATCH}", "curriculum.stages.balance.gate=0.75"]
+    run = command_with([Rates()], tmp_path, *TWO, *gate)
     stages = report(run)
     assert (stages["balance"]["ended"], stages["balance"]["frames"]) == ("gate", 2 * BATCH)
     assert stages["balance"]["success"] == 0.75
@@ -157,39 +172,28 @@ def test_a_gate_ends_a_stage_and_the_later_ones_get_what_is_left(
     assert run.best is not None and run.best.parent.parent.name == "2_mount"
 
 
-def test_stopped_between_stages_it_goes_on_exactly(
-    chain: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as patched:
-        begin = Trainer.train
-
-        def stopped(self: Trainer) -> Any:
-            if self.config.stage.name == "mount":
+def test_stopped_between_stages_it_goes_on_exactly(chain: RunFolder, tmp_path: Path) -> None:
+    class Stop(Callback):
+        def on_train_start(self, trainer: Trainer) -> None:
+            if trainer.config.stage.name == "mount":
                 raise KeyboardInterrupt
-            return begin(self)
 
-        patched.setattr(Trainer, "train", stopped)
-        with pytest.raises(KeyboardInterrupt):
-            command(tmp_path, *TWO, f"total_frames={6 * BATCH}", "seed=3")
+    with pytest.raises(KeyboardInterrupt):
+        command_with([Stop()], tmp_path, *TWO, f"total_frames={6 * BATCH}", "seed=3")
     run = command(tmp_path, "resume=latest")
     assert len(list((tmp_path / "skatemount").iterdir())) == 1
     assert same(weights(run.path), weights(chain.path))
     assert report(run)["mount"]["ended"] == "budget"
 
 
-def test_stopped_in_the_middle_of_a_stage_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    update, calls = PPO.update, []
+def test_stopped_in_the_middle_of_a_stage_it_goes_on(tmp_path: Path) -> None:
+    class Stop(Callback):
+        def on_batch_collected(self, trainer: Trainer, batch: Any) -> None:
+            if (trainer.config.stage.name, trainer.iteration) == ("mount", 1):
+                signal.raise_signal(signal.SIGTERM)
 
-    def interrupted(self: PPO, batch: Any) -> dict[str, float]:
-        calls.append(batch)
-        if len(calls) == 5:
-            signal.raise_signal(signal.SIGTERM)
-        return update(self, batch)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(PPO, "update", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            command(tmp_path, *TWO, f"total_frames={6 * BATCH}")
+    with pytest.raises(KeyboardInterrupt):
+        command_with([Stop()], tmp_path, *TWO, f"total_frames={6 * BATCH}")
     run = RunFolder.open(next(tmp_path.glob("skatemount/*")))
     stages = report(run)
     assert (stages["balance"]["ended"], stages["mount"]["ended"], stages["mount"]["frames"]) == ("budget", None, BATCH)

@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
+import json
+import math
 import re
+import shlex
+import shutil
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import safetensors.torch
 import torch
 import yaml
 from tiny import BATCH, SILENT, TINY
 
 from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import Config, compose, from_dict
-from skatemount.losses.ppo import PPO
-from skatemount.runs.checkpoint import list_checkpoints, load_training_state
+from skatemount.runs.checkpoint import TRAINING_FOLDER, list_checkpoints, load_training_state
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
-from skatemount.runs.lock import claimed
+from skatemount.runs.serialization import save_state, write_tensors
 from skatemount.train import train
+from skatemount.training.callbacks import Callback, EvaluationCallback
 from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
@@ -38,9 +42,41 @@ def run(root: Path, *overrides: str, stage: str = "balance", frames: int = 3 * B
     return RunFolder.open(root / (root / "latest").read_text().strip())
 
 
-def rows(run: RunFolder) -> list[dict[str, str]]:
-    with run.metrics_csv.open(newline="") as file:
-        return list(csv.DictReader(file))
+def run_with(callbacks: Sequence[Callback], root: Path, *overrides: str, frames: int = 100 * BATCH) -> RunFolder:
+    """Train with callbacks, and return the run."""
+    given = [*TINY, f"total_frames={frames}", f"logger.root={root}", *overrides]
+    trainer = Trainer(compose("balance", given), given, callbacks=callbacks)
+    try:
+        trainer.train()
+    finally:
+        trainer.close()
+    return trainer.run
+
+
+class Interrupt(Callback):
+    """The user ends the training when an update, counted from 1, is about to begin."""
+
+    def __init__(self, call: int, how: int = signal.SIGINT):
+        self.left, self.how = call, how
+
+    def on_batch_collected(self, trainer: Trainer, batch: Any) -> None:
+        self.left -= 1
+        if not self.left:
+            signal.raise_signal(self.how)
+
+
+class Rates(EvaluationCallback):
+    """Evaluations that come out as given."""
+
+    def __init__(self, *rates: float):
+        self.rates = iter(rates)
+
+    def evaluate(self, trainer: Trainer) -> Any:
+        return evaluated(next(self.rates))
+
+
+def rows(run: RunFolder) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in run.metrics_file.read_text().splitlines()]
 
 
 def weights(run: RunFolder) -> dict[str, torch.Tensor]:
@@ -67,7 +103,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 def test_complete_run_folder(trained: RunFolder) -> None:
     path = trained.path
     assert re.fullmatch(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_balance", path.name)
-    for name in ("config.yaml", "overrides.yaml", "git.diff", "environment.txt", "metrics.csv", "latest", "best"):
+    for name in ("config.yaml", "overrides.yaml", "git.diff", "environment.txt", "metrics.jsonl", "latest", "best"):
         assert (path / name).stat().st_size > 0, name
     assert trained.curves_png.read_bytes().startswith(b"\x89PNG")
     assert any(path.glob("events.out.tfevents.*"))
@@ -85,17 +121,16 @@ def test_complete_run_folder(trained: RunFolder) -> None:
 
 def test_metrics_have_the_fields_names(trained: RunFolder) -> None:
     table = rows(trained)
-    assert [int(float(row["frames"])) for row in table] == [i * BATCH for i in range(1, 11)]
+    assert [row["frames"] for row in table] == [i * BATCH for i in range(1, 11)]
     last = table[-1]
     for name in ("Loss/surrogate", "Loss/value_function", "Loss/entropy", "Loss/kl", "Loss/learning_rate"):
-        assert float(last[name]) == pytest.approx(float(last[name])), name  # a number
+        assert math.isfinite(last[name]), name
     for name in ("Policy/mean_std", "Perf/total_fps", "Perf/collection_time", "Perf/learning_time"):
-        assert float(last[name]) > 0, name
+        assert last[name] > 0, name
     for name in ("Train/mean_reward", "Train/mean_episode_length", "Success/rate", "Episode_Reward/feet_on_board"):
-        assert any(row[name] for row in table), name
-    assert {"Episode_Termination/time_out", "Episode_Termination/trunk_contact"} <= last.keys()
-    evaluated = [i for i, row in enumerate(table, 1) if row["Evaluation/success"]]
-    assert evaluated == [5, 10]
+        assert any(name in row for row in table), name
+    assert {"Episode_Termination/time_out", "Episode_Termination/trunk_contact"} <= {*table[0], *last}
+    assert [i for i, row in enumerate(table, 1) if "Evaluation/success" in row] == [5, 10]
 
 
 def test_same_seed_same_weights_whatever_the_threads(tmp_path: Path) -> None:
@@ -104,32 +139,32 @@ def test_same_seed_same_weights_whatever_the_threads(tmp_path: Path) -> None:
     assert not same(weights(one), weights(run(tmp_path / "c", "seed=6", *SILENT)))
 
 
-def test_a_gate_ends_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rates = iter([1, 2, 3, 4])
-    monkeypatch.setattr(Trainer, "_evaluate", lambda self, episodes: evaluated(next(rates) / 4))
-    left = run(tmp_path, "logger.evaluate_every=2", "stage.gate=0.5", *SILENT, frames=20 * BATCH)
+def test_a_gate_ends_the_training(tmp_path: Path) -> None:
+    rates = Rates(0.25, 0.5, 0.75)
+    left = run_with([rates], tmp_path, "logger.evaluate_every=2", "stage.gate=0.5", *SILENT, frames=20 * BATCH)
     assert left.latest is not None and left.latest.name == f"step_{4 * BATCH:012d}"
 
 
 def test_resume_goes_on(trained: RunFolder, tmp_path: Path) -> None:
     begun = run(tmp_path, "algorithm.target_kl=1e-6", "logger.name=mine", frames=3 * BATCH)
     before = load_training_state(find_checkpoint(str(begun.path)))
-    rate = before["ppo"]["optimizer"]["param_groups"][0]["lr"]
+    rate = before["ppo"]["learning_rate"]
     assert rate < begun.config["algorithm"]["learning_rate"]  # the KL has pushed it down
 
     given = [f"resume={begun.path}", f"total_frames={5 * BATCH}", *(o for o in TINY if o.startswith("logger."))]
     train(compose(None, [*given, "torch_threads=1", "physics.threads=1"]), given)
     assert len(list((tmp_path / "skatemount").iterdir())) == 1  # no second folder
     table = rows(begun)
-    assert [int(float(row["frames"])) for row in table] == [i * BATCH for i in range(1, 6)]
+    assert [row["frames"] for row in table] == [i * BATCH for i in range(1, 6)]
     # With this KL each step lowers it, until it is at its bound.
-    rates = [float(row["Loss/learning_rate"]) for row in table]
+    rates = [row["Loss/learning_rate"] for row in table]
     assert rates[2] == pytest.approx(rate)
     assert rates[3] <= rate
     after = load_training_state(find_checkpoint(str(begun.path)))
-    assert (after["frames"], after["iteration"]) == (5 * BATCH, 5)
-    assert after["elapsed"] > before["elapsed"]
-    steps = [s["optimizer"]["state"][0]["step"] for s in (before["ppo"], after["ppo"])]
+    assert (after["progress"]["frames"], after["progress"]["iteration"]) == (5 * BATCH, 5)
+    assert after["progress"]["elapsed"] > before["progress"]["elapsed"]
+    name = "critic.module.network.1.0.weight"
+    steps = [s["ppo"]["optimizer"][name]["step"] for s in (before, after)]
     assert float(steps[1]) == pytest.approx(float(steps[0]) * 5 / 3)  # Adam goes on as well
 
 
@@ -160,35 +195,41 @@ def test_a_resumed_run_keeps_its_settings_but_for_what_is_asked_for(tmp_path: Pa
     assert "logger.name=other cannot be changed" in message(lambda: go_on(begun, "logger.name=other"))
 
 
-def test_a_resumed_run_is_checked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Trainer, "_evaluate", lambda self, episodes: evaluated(0.1))
-    begun = run(tmp_path, *SILENT, "logger.evaluate_every=2", "stage.gate=0.9")
+def test_a_resumed_run_is_checked_again(tmp_path: Path) -> None:
+    begun = run_with([Rates(0.1, 0.1)], tmp_path, *SILENT, "logger.evaluate_every=2", "stage.gate=0.9", frames=96)
     assert "stage.gate=0.9 needs evaluations" in message(lambda: go_on(begun, "logger.evaluate_every=0"))
 
 
-def test_a_run_goes_on_only_on_the_kind_of_device_that_it_was_trained_on(
-    trained: RunFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    load = load_training_state
-    monkeypatch.setattr("skatemount.runs.checkpoint.load_training_state", lambda path: load(path) | {"device": "cuda"})
-    text = message(lambda: Trainer(go_on(trained, f"total_frames={99 * BATCH}")))
+def test_a_run_goes_on_only_on_the_kind_of_device_that_it_was_trained_on(tmp_path: Path) -> None:
+    begun = run(tmp_path, *SILENT)
+    assert begun.latest is not None
+    state = load_training_state(begun.latest)
+    state["progress"]["device"] = "cuda"
+    save_state(begun.latest / TRAINING_FOLDER, state)
+    text = message(lambda: Trainer(go_on(begun, f"total_frames={99 * BATCH}")))
     assert text.startswith("physics.device=cpu") and "cuda" in text
 
 
-def test_steps_that_have_become_small_stay_small_when_a_run_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_checkpoint_that_lacks_a_part_is_not_resumed(tmp_path: Path) -> None:
+    begun = run(tmp_path, *SILENT)
+    assert begun.latest is not None
+    state = load_training_state(begun.latest)
+    del state["env"]
+    save_state(begun.latest / TRAINING_FOLDER, state)
+    text = message(lambda: Trainer(go_on(begun, f"total_frames={99 * BATCH}")))
+    assert str(begun.latest) in text and "no part 'env'" in text and "init_from" in text
+
+
+def test_steps_that_have_become_small_stay_small_when_a_run_goes_on(tmp_path: Path) -> None:
     # At first every step is far below the target, at the end far above it.
     settling = ["algorithm.target_kl=1000", "algorithm.final_target_kl=1e-9", "algorithm.kl_anneal_fraction=1"]
-    with monkeypatch.context() as patched:
-        interrupt_at(patched, 9)
-        with pytest.raises(KeyboardInterrupt):
-            run(tmp_path, "logger.tensorboard=false", *settling, frames=10 * BATCH)
+    with pytest.raises(KeyboardInterrupt):
+        run_with([Interrupt(9)], tmp_path, "logger.tensorboard=false", *settling, frames=10 * BATCH)
     (left,) = (tmp_path / "skatemount").iterdir()
     begun = RunFolder.open(left)
     config = go_on(begun)
     train(config, [f"resume={begun.path}"])
-    rates = [float(row["Loss/learning_rate"]) for row in rows(begun)]
+    rates = [row["Loss/learning_rate"] for row in rows(begun)]
     assert len(rates) == 10 and rates[8] < rates[7]
 
 
@@ -203,12 +244,12 @@ def test_resume_takes_the_checkpoint_that_is_named(tmp_path: Path) -> None:
 
 def test_resume_refuses_a_run_that_is_still_being_trained(tmp_path: Path) -> None:
     begun = run(tmp_path, "logger.tensorboard=false", frames=3 * BATCH)
-    before = begun.metrics_csv.read_bytes()
+    before = begun.metrics_file.read_bytes()
     given = [f"resume={begun.path}", f"total_frames={5 * BATCH}", f"logger.root={tmp_path}"]
-    with claimed(begun.path):
+    with begun.lock():
         refused = message(lambda: train(compose(None, given), given))
     assert str(begun.path) in refused and "another process" in refused
-    assert begun.metrics_csv.read_bytes() == before
+    assert begun.metrics_file.read_bytes() == before
     assert len(list(begun.checkpoints.iterdir())) == 1
 
 
@@ -227,7 +268,7 @@ def test_resume_refuses_what_cannot_change(trained: RunFolder, tmp_path: Path) -
 
     assert "seed=1 cannot be changed with resume" in resume("seed=1")
     assert "algorithm.clip_epsilon=0.1" in resume("total_frames=9999", "algorithm.clip_epsilon=0.1")
-    assert f"({10 * BATCH})" in resume("torch_threads=1")  # nothing left to do
+    assert f"{10 * BATCH} frames are already trained" in resume("torch_threads=1")  # nothing left to do
     policy = ["resume=pretrained:balance"]
     refused = message(lambda: train(compose(None, policy), policy))
     assert refused.startswith("resume=") and "not a run folder" in refused
@@ -284,71 +325,44 @@ def test_policy_that_does_not_fit_is_one_line(
     assert not any(tmp_path.iterdir())  # no run folder for what never ran
 
 
-def test_request_to_end_leaves_a_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    update, calls = PPO.update, []
+def newest(root: Path) -> RunFolder:
+    return RunFolder.open(root / (root / "latest").read_text().strip())
 
-    def interrupted(self: PPO, batch: Any) -> dict[str, float]:
-        calls.append(batch)
-        if len(calls) == 3:
-            signal.raise_signal(signal.SIGTERM)
-        return update(self, batch)
 
-    monkeypatch.setattr(PPO, "update", interrupted)
+def test_request_to_end_leaves_a_checkpoint(tmp_path: Path) -> None:
     handler = signal.getsignal(signal.SIGTERM)
     with pytest.raises(KeyboardInterrupt):
-        run(tmp_path, *SILENT, frames=100 * BATCH)
+        run_with([Interrupt(3, signal.SIGTERM)], tmp_path, *SILENT)
     assert signal.getsignal(signal.SIGTERM) == handler
-    left = RunFolder.open(tmp_path / (tmp_path / "latest").read_text().strip())
+    left = newest(tmp_path)
     assert left.latest is not None
-    assert load_training_state(left.latest)["frames"] == 2 * BATCH
+    assert load_training_state(left.latest)["progress"]["frames"] == 2 * BATCH
 
 
-def interrupt_at(monkeypatch: pytest.MonkeyPatch, call: int) -> None:
-    """Let the user end the training when an update, counted from 1, is about to begin."""
-    update, calls = PPO.update, []
-
-    def interrupted(self: PPO, batch: Any) -> dict[str, float]:
-        calls.append(batch)
-        if len(calls) == call:
-            raise KeyboardInterrupt
-        return update(self, batch)
-
-    monkeypatch.setattr(PPO, "update", interrupted)
-
-
-def test_a_request_to_end_does_not_replace_what_was_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Trainer, "_evaluate", lambda self, episodes: evaluated(0.9))
-    interrupt_at(monkeypatch, 3)
+def test_a_request_to_end_does_not_replace_what_was_evaluated(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        run(tmp_path, "logger.evaluate_every=2", *SILENT, frames=100 * BATCH)
-    left = RunFolder.open(tmp_path / (tmp_path / "latest").read_text().strip())
+        run_with([Rates(0.9), Interrupt(3)], tmp_path, "logger.evaluate_every=2", *SILENT)
+    left = newest(tmp_path)
     assert left.best is not None and left.best == left.latest
     assert TrainedPolicy.load(str(left.best)).card.metrics["Evaluation/success"] == 0.9
 
 
-def test_a_request_to_end_before_anything_is_learnt_leaves_no_checkpoint(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    interrupt_at(monkeypatch, 1)
+def test_a_request_to_end_before_anything_is_learnt_leaves_no_checkpoint(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        run(tmp_path, *SILENT, frames=100 * BATCH)
+        run_with([Interrupt(1)], tmp_path, *SILENT)
     (left,) = (tmp_path / "skatemount").iterdir()
     assert RunFolder.open(left).latest is None
 
 
-def test_what_is_not_finite_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    update, calls = PPO.update, []
+def test_what_is_not_finite_ends_the_run(tmp_path: Path) -> None:
+    class Broken(Callback):
+        def on_batch_collected(self, trainer: Trainer, batch: Any) -> None:
+            if trainer.iteration == 2:
+                batch["next", "reward"][0, 0] = torch.nan
 
-    def broken(self: PPO, batch: Any) -> dict[str, float]:
-        calls.append(batch)
-        if len(calls) == 3:
-            batch["next", "reward"][0, 0] = torch.nan
-        return update(self, batch)
-
-    monkeypatch.setattr(PPO, "update", broken)
     with pytest.raises(FloatingPointError, match="next.reward is not finite in 1 of 8 worlds"):
-        run(tmp_path, "logger.checkpoint_every=1", *SILENT, frames=100 * BATCH)
-    left = RunFolder.open(tmp_path / (tmp_path / "latest").read_text().strip())
+        run_with([Broken()], tmp_path, "logger.checkpoint_every=1", *SILENT)
+    left = newest(tmp_path)
     assert left.latest is not None and left.latest.name == f"step_{2 * BATCH:012d}"  # the last good one
 
 
@@ -363,3 +377,67 @@ def test_final_evaluation_is_printed(tmp_path: Path, capsys: pytest.CaptureFixtu
     printed = capsys.readouterr().out
     assert "95 % interval" in printed and "feet on board" in printed
     assert str(left.path) in printed
+
+
+def test_the_end_names_the_next_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = tmp_path / "a folder"
+    left = run(root, *SILENT, frames=BATCH)
+    *_, evaluate, record = capsys.readouterr().out.splitlines()
+    module, *settings = shlex.split(evaluate)[2:]
+    assert (module, settings) == ("skatemount.evaluate", [f"checkpoint={left.path}", "suite=balance-fixed"])
+    assert shlex.split(record) == ["python", "-m", "skatemount.record", f"checkpoint={left.path}"]
+    assert find_checkpoint(settings[0].partition("=")[2]) == left.latest
+
+
+OLD_RUN = Path(__file__).parents[1] / "golden" / "data" / "old_run"
+
+
+@pytest.fixture
+def old_run(tmp_path: Path) -> RunFolder:
+    """A run of commit 5ce7322, five iterations with the automatic curriculum."""
+    return RunFolder.open(shutil.copytree(OLD_RUN, tmp_path / "runs" / "exp" / "old"))
+
+
+def test_a_run_of_an_older_version_resumes(old_run: RunFolder) -> None:
+    assert old_run.latest is not None
+    saved, policy = load_training_state(old_run.latest), weights(old_run)
+    config = go_on(old_run, f"total_frames={6 * BATCH}")
+    trainer = Trainer(config)
+    assert same(trainer.networks.state_dict(), policy)
+    assert (trainer.frames, trainer.iteration) == (5 * BATCH, 5)
+    moments = trainer.ppo.state_dict()["optimizer"]
+    assert len(moments) == len(saved["ppo"]["optimizer"]) == len(list(trainer.networks.parameters()))
+    for i, values in enumerate(moments.values()):
+        assert all(torch.equal(value, saved["ppo"]["optimizer"][str(i)][name]) for name, value in values.items())
+    assert trainer.curriculum is not None
+    assert torch.equal(trainer.curriculum.state_dict()["opened"], saved["curriculum"]["opened"])
+    assert torch.equal(trainer.env.generator.get_state(), saved["env"]["generator"])
+    trainer.train()
+    trainer.close()
+    assert old_run.latest.name == f"step_{6 * BATCH:012d}"
+    assert load_training_state(old_run.latest)["progress"]["iteration"] == 6
+    assert [row["frames"] for row in rows(old_run)] == [i * BATCH for i in range(1, 7)]
+    assert old_run.metrics_file.name == "metrics.jsonl" and not (old_run.path / "metrics.csv").exists()
+
+
+def test_samples_that_features_of_an_older_run_have_missed_are_read(old_run: RunFolder) -> None:
+    assert old_run.latest is not None
+    path = old_run.latest / TRAINING_FOLDER
+    document = json.loads((path / "state.json").read_text())
+    tensors = safetensors.torch.load_file(path / "tensors.safetensors")
+    missed = tensors["state.behind.0"]
+    missed[3] = 10
+    document["tensors_sha256"] = write_tensors(path / "tensors.safetensors", tensors)
+    (path / "state.json").write_text(json.dumps(document))
+    trainer = Trainer(go_on(old_run, f"total_frames={6 * BATCH}"))
+    trainer.close()
+    count = trainer.networks.normalizers[0].count
+    assert torch.equal(count, weights(old_run)["normalizers.0.count"] - missed)
+    assert count[3] == count[0] - 10
+
+
+def test_a_damaged_state_of_an_older_version_is_named(old_run: RunFolder) -> None:
+    assert old_run.latest is not None
+    path = old_run.latest / TRAINING_FOLDER / "state.json"
+    path.write_text(path.read_text().replace('"frames": 160', '"frames": 320'))
+    assert str(path) in message(lambda: Trainer(go_on(old_run, f"total_frames={6 * BATCH}")))
