@@ -1,1 +1,1 @@
-"""How fast a training is, and what limits it."""
+"""Speed of a training, and the parts that limit it."""

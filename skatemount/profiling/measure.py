@@ -1,4 +1,4 @@
-"""Takes the figures, each point of a sweep in a process of its own."""
+"""Speed measurements, each point of a sweep in a process of its own."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from skatemount.utils.devices import choose_device
 from skatemount.utils.quiet import ignore_torchrl_warnings
 
 FIGURES = ("raw", "env", "collect", "learn", "train")
-"""Steps a second of: physics alone, the environment, collecting (with the policy), learning, and the whole training."""
+"""Steps per second of: physics alone, the environment, collecting (with the policy), learning, the whole training."""
 
 
 @dataclass
 class Point:
-    """What was measured with one number of worlds and threads.
+    """Measurements with one number of worlds and threads.
 
     Attributes:
-        worlds: Worlds.
-        threads: Of physics and of torch.
-        rates: Steps a second by `FIGURES`.
-        memory: Bytes that the training took, if the system tells.
-        profile: Share of an iteration's time by part, if it was asked for.
+        worlds: Number of worlds.
+        threads: Number of threads of physics and of torch.
+        rates: Steps per second by `FIGURES`.
+        memory: Bytes that the training took; none if the system does not report it.
+        profile: Share of an iteration's time by part; empty if it was not measured.
     """
 
     worlds: int
@@ -49,11 +49,11 @@ class Point:
     profile: dict[str, float] = field(default_factory=dict)
 
     def of_raw(self) -> dict[str, float]:
-        """Every rate but the first as a fraction of raw physics."""
+        """Return every rate but the first as a fraction of raw physics."""
         return {name: rate / self.rates["raw"] for name, rate in self.rates.items() if name != "raw"}
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return the measurements as plain values."""
         values: dict[str, Any] = {"worlds": self.worlds, "threads": self.threads, **self.rates}
         values |= {f"{name}_of_raw": share for name, share in self.of_raw().items()}
         if self.memory is not None:
@@ -63,14 +63,14 @@ class Point:
 
 @dataclass
 class Measured:
-    """All that was measured.
+    """All measurements of one `bench`.
 
     Attributes:
-        title: What was trained.
-        machine: What it ran on.
-        main: With the settings at hand.
-        by_worlds: With other numbers of worlds.
-        by_threads: With other numbers of threads.
+        title: Name of the training.
+        machine: Description of the machine.
+        main: Measurements with the given settings.
+        by_worlds: Measurements with other numbers of worlds.
+        by_threads: Measurements with other numbers of threads.
         start_s: Seconds from the training command to the end of its first iteration.
     """
 
@@ -82,7 +82,7 @@ class Measured:
     start_s: float | None = None
 
     def bytes_per_world(self) -> float | None:
-        """What one more world takes: the slope between the least and the most worlds."""
+        """Return the memory of one more world: the slope between the least and the most worlds."""
         known = [point for point in self.by_worlds if point.memory is not None]
         if len(known) < 2:
             return None
@@ -92,7 +92,7 @@ class Measured:
         return ((most.memory or 0) - (least.memory or 0)) / (most.worlds - least.worlds)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values: the figures of `main` on top."""
+        """Return the measurements as plain values, those of `main` at the top level."""
         return {
             **self.main.to_dict(),
             "title": self.title,
@@ -107,15 +107,12 @@ class Measured:
 
 
 def measure(config: BenchProgramConfig, overrides: list[str], report: Callable[[str], None]) -> Measured:
-    """Measure all that the settings ask for.
+    """Measure everything that the settings ask for.
 
     Args:
-        config: Of the training, and ``bench``.
-        overrides: What the user asked for, for the training command.
-        report: Told what comes next.
-
-    Returns:
-        The figures.
+        config: Settings of the training, and ``bench``.
+        overrides: The command line's overrides, for the training command.
+        report: Called with a description of the next measurement.
     """
     bench, worlds = config.bench, config.physics.num_worlds
     threads = config.physics.threads or available_cores()
@@ -137,7 +134,7 @@ def measure(config: BenchProgramConfig, overrides: list[str], report: Callable[[
 
 
 def in_fresh_process(work: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function in a new process: its memory is its own, and no earlier measurement warmed it up."""
+    """Return a function's result from a new process: memory of its own, and not warmed up by earlier measurements."""
     spawn = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(1, mp_context=spawn, initializer=ignore_torchrl_warnings) as pool:
         return pool.submit(work, *arguments).result()
@@ -147,8 +144,8 @@ def measure_point(config: BenchProgramConfig, profile: bool = False) -> Point:
     """Measure one training, in this process.
 
     Args:
-        config: Of the training, and ``bench``.
-        profile: Whether to look at the parts, too.
+        config: Settings of the training, and ``bench``.
+        profile: Measure the share of each part as well.
     """
     bench, physics = config.bench, config.physics
     device = choose_device("cpu" if physics.engine == "cpu" else physics.device)
@@ -174,7 +171,7 @@ def measure_point(config: BenchProgramConfig, profile: bool = False) -> Point:
 
 
 def profiled(workload: BenchWorkload, seconds: float) -> dict[str, float]:
-    """Shares of a training's time, by the parts of `watch` and what is left of collecting and of learning."""
+    """Return the share of each part in the training's time, and of the rest of collecting and learning."""
     with profile_trainer(workload.trainer) as stopwatch:
         timed = workload.training(seconds)
     spent = stopwatch.spent
@@ -188,7 +185,7 @@ def profiled(workload: BenchWorkload, seconds: float) -> dict[str, float]:
 
 
 def time_to_first_iteration(overrides: list[str]) -> float | None:
-    """Seconds from the training command until its first iteration is done; none if it ended without one.
+    """Return the seconds from the training command until its first iteration is done; none if it ended without one.
 
     Args:
         overrides: Settings of the training.
@@ -206,7 +203,7 @@ def time_to_first_iteration(overrides: list[str]) -> float | None:
 
 
 def machine() -> str:
-    """The processor's name and how many of its cores there are to use, and the GPU's if there is one."""
+    """Return the processor's name, the number of usable cores, and the GPU's name if there is one."""
     name = platform.processor() or platform.machine()
     if Path("/proc/cpuinfo").is_file():
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -218,7 +215,7 @@ def machine() -> str:
 
 
 def memory_taken(device: torch.device) -> int | None:
-    """The most memory that this process has had, or what is taken of a GPU's, bytes, if the system tells."""
+    """Return the peak memory of this process, or the used memory of a GPU, bytes; none if the system tells neither."""
     if device.type == "cuda":
         free, total = torch.cuda.mem_get_info(device)
         return total - free

@@ -1,4 +1,4 @@
-"""The figures as text and as a picture."""
+"""Tables and a picture of the measured speeds."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ IN_WORDS = {
     "learn": "learning",
     "train": "training",
 }
-COLOURS = dict(zip(FIGURES, ("#7f7f7f", "#1f77b4", "#2ca02c", "#9467bd", "#d62728")))
+COLORS = dict(zip(FIGURES, ("#7f7f7f", "#1f77b4", "#2ca02c", "#9467bd", "#d62728")))
 
 
 def text(measured: Measured) -> str:
-    """All that was measured, as tables."""
+    """Return everything that was measured, as tables."""
     main = new_table(measured.title, "steps/s", "of raw")
     for name, rate in measured.main.rates.items():
         main.add_row(IN_WORDS[name], f"{rate:,.0f}", f"{rate / measured.main.rates['raw']:.2f}")
@@ -35,7 +35,7 @@ def text(measured: Measured) -> str:
             parts.append(_sweep(what, points))
     lines = []
     if (each := measured.bytes_per_world()) is not None:
-        lines.append(f"memory: {each / 1024:,.0f} KiB a world, all of a training's")
+        lines.append(f"memory: {each / 1024:,.0f} KiB per world, of the whole training")
     if measured.start_s is not None:
         lines.append(f"first iteration: {measured.start_s:.1f} s after the command")
     return "\n\n".join([*parts, *(["\n".join(lines)] if lines else [])])
@@ -55,27 +55,25 @@ def _sweep(what: str, points: Sequence[Point]) -> str:
 
 
 def draw(measured: Measured, path: Path) -> None:
-    """Draw the figures: bars, the sweep over worlds, and where the time goes.
+    """Draw the speeds as bars, the sweep over worlds, and the share of each part.
 
     Args:
-        measured: The figures.
+        measured: The measurements.
         path: The picture (PNG), replaced in one step.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     panels = 1 + bool(measured.by_worlds) + bool(measured.main.profile)
     figure = Figure(figsize=(4.6 * panels, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = list(figure.subplots(1, panels, squeeze=False)[0])
     figure.suptitle(f"{measured.title}\n{measured.machine}", fontsize=9)
 
     axis, rates = axes.pop(0), measured.main.rates
-    bars = axis.bar([IN_WORDS[name] for name in rates], rates.values(), color=[COLOURS[name] for name in rates])
+    bars = axis.bar([IN_WORDS[name] for name in rates], rates.values(), color=[COLORS[name] for name in rates])
     axis.bar_label(bars, [f"{rate / rates['raw']:.2f}" for rate in rates.values()], fontsize=8)
     # The labels above the bars need room.
     axis.margins(y=0.1)
-    axis.set_ylabel("environment steps a second")
+    axis.set_ylabel("environment steps per second")
     axis.set_title("labels: as a fraction of raw", fontsize=9)
     axis.tick_params(axis="x", labelrotation=30)
 
@@ -87,14 +85,14 @@ def draw(measured: Measured, path: Path) -> None:
                 [p.rates[name] for p in points],
                 "o-",
                 markersize=3,
-                color=COLOURS[name],
+                color=COLORS[name],
                 label=IN_WORDS[name],
             )
         axis.set_xscale("log", base=2)
         axis.set_xticks([p.worlds for p in points], [str(p.worlds) for p in points], fontsize=8)
         axis.set_ylim(bottom=0)
         axis.set_xlabel("worlds")
-        axis.set_ylabel("environment steps a second")
+        axis.set_ylabel("environment steps per second")
         axis.legend(fontsize=8)
 
     if measured.main.profile:
@@ -103,6 +101,6 @@ def draw(measured: Measured, path: Path) -> None:
         bars = axis.barh(names, [100 * shares[name] for name in names], color="#1f77b4")
         axis.bar_label(bars, fmt="%.1f", fontsize=8)
         axis.margins(x=0.12)
-        axis.set_xlabel("share of a training's time, %")
+        axis.set_xlabel("share of the training's time, %")
     with atomic.replacing(path) as temporary:
         figure.savefig(temporary, format="png", dpi=120)

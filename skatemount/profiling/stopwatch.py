@@ -1,12 +1,17 @@
-"""Which part of the code the time goes to."""
+"""Share of each part of the code in a training's time.
+
+The stopwatch replaces a method of an object by one that reads the clock, for as long as it runs, private methods
+included. Timing code inside the step would cost time when nobody measures: on one core, an empty ``with`` block takes
+0.16 µs, `torchrl.timeit` 3 µs and `torch.profiler.record_function` 26 µs, and a step has eight parts. Replaced methods
+cost nothing once they are put back, and no other package has to know what is timed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
-
-import torch
 
 from skatemount.training.trainer import Trainer
 from skatemount.utils.devices import seconds
@@ -16,32 +21,32 @@ LEARNING = ("values and GAE", "update")
 
 
 class Stopwatch:
-    """Adds up the time spent in what it times; a part does not count what is timed inside it.
+    """Adds up the time of the parts that it times; a part does not count what is timed inside it.
 
     Args:
-        device: Where what is timed works.
+        clock: Returns the time in seconds.
 
     Attributes:
         spent: Seconds by part.
     """
 
-    def __init__(self, device: torch.device | None = None) -> None:
+    def __init__(self, clock: Callable[[], float]) -> None:
         self.spent: dict[str, float] = {}
-        self._device = device or torch.device("cpu")
+        self._clock = clock
         self._inside = 0.0
         self._closed = False
 
     def time(self, owner: object, name: str, part: str, whole: bool = False) -> Callable[[], None]:
-        """Time what an object calls by an attribute, from now on.
+        """Time the calls of an object's attribute from now on.
 
         Args:
             owner: The object.
-            name: Of the attribute: a method, or something that can be called.
-            part: What its time counts for.
-            whole: Count what is timed inside it, too.
+            name: The attribute's name: a method, or a callable object.
+            part: The part that its time counts for.
+            whole: Count what is timed inside it as well.
 
         Returns:
-            Puts the attribute back.
+            A function that puts the attribute back.
         """
         its_own, original = name in vars(owner), getattr(owner, name)
         setattr(owner, name, _Timed(original, lambda *args, **kwargs: self._run(part, whole, original, args, kwargs)))
@@ -51,17 +56,17 @@ class Stopwatch:
         if self._closed:
             return call(*args, **kwargs)
         outer, self._inside, self._closed = self._inside, 0.0, whole
-        start = seconds(self._device)
+        start = self._clock()
         try:
             return call(*args, **kwargs)
         finally:
-            took = seconds(self._device) - start
+            took = self._clock() - start
             self.spent[part] = self.spent.get(part, 0.0) + took - self._inside
             self._inside, self._closed = outer + took, False
 
 
 class _Timed:
-    """Stands in for something that is called, and is like it in everything else."""
+    """Stands in for a callable object, and passes everything but calls on to it."""
 
     def __init__(self, original: Any, call: Callable[..., Any]):
         self._original, self._call = original, call
@@ -84,7 +89,7 @@ def profile_trainer(trainer: Trainer) -> Iterator[Stopwatch]:
         The stopwatch; its parts are `COLLECTING` and `LEARNING`.
     """
     env, ppo = trainer.env, trainer.ppo
-    stopwatch = Stopwatch(env.physics.device)
+    stopwatch = Stopwatch(partial(seconds, env.physics.device))
     undo = [
         stopwatch.time(env.physics, "step", "physics"),
         stopwatch.time(env.physics, "state", "state"),

@@ -1,4 +1,4 @@
-"""A training whose parts can be timed one by one, all on the same kind of states."""
+"""A training whose parts can be timed one by one, all on states of the same kind."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from skatemount.training.trainer import Trainer
 from skatemount.utils.devices import seconds
 
 SETTLE = 50
-"""Control steps until the worlds are out of step with each other, and as far into their episodes as they get."""
+"""Control steps until the worlds are at different times of their episodes, as they are during a training."""
 KEPT = 8
-"""States that raw physics starts from."""
+"""Number of states that raw physics starts from."""
 
 Timed = Callable[[float], tuple[int, float]]
-"""Works for at least so many seconds: environment steps, and the seconds that they took."""
+"""A function that works for at least so many seconds, and returns environment steps and the seconds that they took."""
 
 
 class BenchWorkload:
-    """Raw physics, the environment and the whole of a training, for a stopwatch.
+    """The work to be timed: raw physics, the environment, and the whole training.
 
     Args:
-        trainer: The training. It goes on learning while it is timed.
+        trainer: The training. It keeps learning while it is timed.
     """
 
     def __init__(self, trainer: Trainer):
         self.trainer = trainer
         self._env = trainer.env
         self._iterations = trainer.iterations()
-        # What is done for the first time takes longer. And the collector is made now, which resets the worlds: later,
-        # it would put them back into step with each other.
+        # The first iteration takes longer. It also creates the collector, which resets the worlds: later, it would put
+        # all of them at the start of an episode.
         next(self._iterations)
         self._env.set_seed(trainer.config.seed)
         self._data: TensorDictBase = self._env.reset()
@@ -48,7 +48,7 @@ class BenchWorkload:
         _, self._data = self._env.step_and_maybe_reset(self._data)
 
     def _present_states(self) -> list[tuple[Any, torch.Tensor]]:
-        """States of the engine in the next control steps, and the joint targets that follow."""
+        """Return the engine's states of the next control steps, and the joint targets in them."""
         states = []
         for _ in range(KEPT):
             self._act()
@@ -57,9 +57,9 @@ class BenchWorkload:
         return states
 
     def raw(self, seconds: float) -> tuple[int, float]:
-        """Physics alone, the policy's present states and actions over and over: no resets, no observation, no reward.
+        """Time physics alone, on the policy's present states and actions: no resets, no observation, no reward.
 
-        States of a training's beginning would not do: how much a step of physics costs depends on who touches what.
+        States from the start of a training would give other numbers: the cost of a step depends on the contacts.
         """
         physics, substeps, states = self._env.physics, self.trainer.config.physics.substeps, self._present_states()
         here, spent, steps = physics.raw_state(), 0.0, 0
@@ -74,7 +74,7 @@ class BenchWorkload:
         return steps * self._env.num_worlds, spent
 
     def env(self, seconds: float) -> tuple[int, float]:
-        """The environment with its resets, under the policy's actions; choosing them is not timed."""
+        """Time the environment with its resets, under the policy's actions; the policy itself is not timed."""
         spent, steps = 0.0, 0
         while spent < seconds:
             self._act()
@@ -85,7 +85,7 @@ class BenchWorkload:
         return steps * self._env.num_worlds, spent
 
     def training(self, seconds: float) -> dict[str, tuple[int, float]]:
-        """Whole iterations: ``collect``, ``learn`` and both together with all that is between them, ``train``."""
+        """Time whole iterations: ``collect``, ``learn``, and ``train``, which is both and everything between them."""
         spent = {"collect": 0.0, "learn": 0.0, "train": 0.0}
         before, start = self.trainer.frames, self._now()
         while (spent["train"] < seconds) or self.trainer.frames == before:

@@ -42,7 +42,7 @@ def test_tables_and_picture(tmp_path: Path) -> None:
     many = [point(8 * 2**i, 1_000_000 * (i + 1)) for i in range(4)]
     measured = Measured("unfixed, 64 worlds", "a laptop", point(64), many, many[:2], start_s=7.25)
     text = report.text(measured)
-    for expected in ("unfixed, 64 worlds", "a laptop", "raw physics", "0.60", "60.0%", "7.2 s", "KiB a world"):
+    for expected in ("unfixed, 64 worlds", "a laptop", "raw physics", "0.60", "60.0%", "7.2 s", "KiB per world"):
         assert expected in text, text
     assert not any(line.endswith(" ") for line in text.splitlines())
     report.draw(measured, tmp_path / "bench.png")
