@@ -18,4 +18,4 @@ TINY = [
     "logger.progress_every=0",
 ]
 
-SILENT = ["logger.csv=false", "logger.tensorboard=false"]
+SILENT = ["logger.jsonl=false", "logger.tensorboard=false"]

@@ -70,7 +70,7 @@ class LoggerConfig:
         experiment: Folder below ``root`` for the runs of this experiment.
         name: Name of the run; null takes the stage's name.
         tensorboard: Write TensorBoard events.
-        csv: Write ``metrics.csv``, from which the learning curves are drawn.
+        jsonl: Write ``metrics.jsonl``, from which the learning curves are drawn.
         progress_every: Seconds between two lines of progress when the output is not a terminal.
         plot_every: Seconds between two updates of the learning curves' picture.
         checkpoint_every: Iterations between two checkpoints.
@@ -84,7 +84,7 @@ class LoggerConfig:
     experiment: str
     name: str | None
     tensorboard: bool
-    csv: bool
+    jsonl: bool
     progress_every: float
     plot_every: float
     checkpoint_every: int

@@ -35,6 +35,7 @@ RENAMED: dict[str, str] = {
     "curriculum.steady": "curriculum.success_threshold",
     "grow": "init_from_expand",
     "handover": "switch_distance",
+    "logger.csv": "logger.jsonl",
 }
 """Names of format 1 and what they became in format 2."""
 

@@ -98,7 +98,7 @@ class LoggerCallback(Callback):
     def on_train_start(self, trainer: Trainer) -> None:
         """Open the loggers."""
         settings = trainer.config.logger
-        self.loggers += open_loggers(trainer.run, settings.csv, settings.tensorboard, trainer.frames)
+        self.loggers += open_loggers(trainer.run, settings.jsonl, settings.tensorboard, trainer.frames)
         self.loggers.append(trainer.display)
 
     def on_iteration_end(self, trainer: Trainer, metrics: dict[str, float]) -> None:
@@ -148,7 +148,7 @@ class PlotCallback(Callback):
     def draw(self, trainer: Trainer) -> None:
         """Draw the learning curves, if metrics are written to a file, and the curriculum, if there is one."""
         run = trainer.run
-        if trainer.config.logger.csv:
+        if trainer.config.logger.jsonl:
             plot_learning_curves(run.metrics_file, run.curves_png, title=run.path.name)
         if trainer.curriculum is not None:
             trainer.curriculum.draw(run.curriculum_png, f"{run.path.name}, {format_count(trainer.frames)} steps")

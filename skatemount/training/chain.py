@@ -264,7 +264,7 @@ class Chain:
         atomic.write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
         tables = [(part.name, RunFolder(part.folder).metrics_file) for part in self.parts]
         # A table is there from a stage's first iteration on.
-        if self.config.logger.csv and any(part.frames for part in self.parts):
+        if self.config.logger.jsonl and any(part.frames for part in self.parts):
             plot_chain(tables, self.run.curves_png, self.run.path.name)
 
 

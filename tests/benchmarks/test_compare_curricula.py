@@ -96,7 +96,7 @@ def test_from_training_to_figure_and_not_twice(
         "torch_threads=1",
         "episode_length=1.0",
     ]
-    tiny += ["logger.evaluate_episodes=8", "logger.tensorboard=false", "logger.csv=false"]
+    tiny += ["logger.evaluate_episodes=8", "logger.tensorboard=false", "logger.jsonl=false"]
     options = ["--frames", "320", "--seeds", "0", "--points", "2", "--episodes", "4", "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", ["compare", *options, *tiny])
     script.main()

@@ -86,7 +86,7 @@ def message(root: Path, *overrides: str) -> str:
 def chain(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """Two stages of three iterations each."""
     root = tmp_path_factory.mktemp("chain") / "runs"
-    return command(root, *TWO, f"total_frames={6 * BATCH}", "seed=3", "logger.csv=true", "logger.final_episodes=4")
+    return command(root, *TWO, f"total_frames={6 * BATCH}", "seed=3", "logger.jsonl=true", "logger.final_episodes=4")
 
 
 def test_one_folder_with_a_part_for_each_stage(chain: RunFolder) -> None:

@@ -189,7 +189,7 @@ def test_a_resumed_run_keeps_its_settings_but_for_what_is_asked_for(tmp_path: Pa
     config = go_on(begun, "logger.plot_every=5", f"++total_frames={9 * BATCH}")
     saved = from_dict(begun.config)
     assert config.logger == dataclasses.replace(saved.logger, plot_every=5.0)
-    assert (config.logger.keep_checkpoints, config.logger.csv) == (7, False)
+    assert (config.logger.keep_checkpoints, config.logger.jsonl) == (7, False)
     assert (config.physics.threads, config.torch_threads, config.total_frames) == (1, 1, 9 * BATCH)
     assert go_on(begun, "torch_threads=2", "physics.threads=2").physics.threads == 2
     assert "logger.name=other cannot be changed" in message(lambda: go_on(begun, "logger.name=other"))
