@@ -39,6 +39,8 @@ default_role = "code"  # single backticks are code, as in Markdown
 
 html_theme = "furo"
 html_title = f"skatemount {version}"
+html_static_path = ["_static"]
+html_css_files = ["custom.css"]
 copybutton_prompt_text = r"\$ |>>> "
 copybutton_prompt_is_regexp = True
 
@@ -82,13 +84,16 @@ def write_reference(folder: Path) -> None:
         shadowed = bool(parent) and not inspect.ismodule(getattr(importlib.import_module(parent), last, inspect))
         index = "   :no-index:\n" if shadowed else ""
         write_if_changed(folder / f"{name}.rst", f"{title}\n{'=' * len(title)}\n\n.. automodule:: {name}\n{index}")
-    lines = ["# Reference", "", "These pages are made from the code and the settings.", ""]
-    for caption, entries in (("What exists", kinds), ("Python modules", names)):
-        lines += [f"## {caption}", "", "```{toctree}", ":maxdepth: 1", "", *entries, "```", ""]
-    write_if_changed(folder / "index.md", "\n".join(lines))
+    intro = "These pages are made from the code and the settings."
+    write_if_changed(folder / "index.md", _toctree("Reference", intro, [*kinds, "modules"]))
+    write_if_changed(folder / "modules.md", _toctree("Python modules", "Every public module.", names))
     for page in (*folder.glob("*.rst"), *folder.glob("*.md")):
-        if page.stem not in (*names, *kinds, "index"):
+        if page.stem not in (*names, *kinds, "index", "modules"):
             page.unlink()
+
+
+def _toctree(title: str, intro: str, entries: list[str]) -> str:
+    return "\n".join([f"# {title}", "", intro, "", "```{toctree}", ":maxdepth: 1", "", *entries, "```", ""])
 
 
 def skip_foreign(app: Any, what: str, name: str, member: Any, skip: bool, options: Any) -> bool:
