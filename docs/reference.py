@@ -8,21 +8,22 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib
 import inspect
 import json
-import pkgutil
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_type_hints
 
 from omegaconf import OmegaConf
 
-import skatemount
+from skatemount.config.programs import PROGRAMS
 
 ROOT = Path(__file__).resolve().parents[1]
 CONF = ROOT / "conf"
+BASE = "base"
+"""Folder of what the programs share; not a group."""
+
 TABLES = ("reward", "termination", "observation")
 """Groups that are tables of terms; pages of their own describe the terms."""
 
@@ -102,19 +103,6 @@ class Docstring:
 # --- settings ---
 
 
-def settings_classes() -> list[type]:
-    """Return every dataclass of settings."""
-    found: dict[str, type] = {}
-    for info in pkgutil.walk_packages(skatemount.__path__, "skatemount."):
-        if "config" not in info.name.split(".") or info.name.endswith("__main__"):
-            continue
-        module = importlib.import_module(info.name)
-        for name, value in vars(module).items():
-            if dataclasses.is_dataclass(value) and isinstance(value, type) and value.__module__ == info.name:
-                found[name] = value
-    return list(found.values())
-
-
 def _dataclass_in(kind: Any) -> type | None:
     candidates = [kind, *getattr(kind, "__args__", ())]
     return next((each for each in candidates if isinstance(each, type) and dataclasses.is_dataclass(each)), None)
@@ -123,14 +111,13 @@ def _dataclass_in(kind: Any) -> type | None:
 @functools.cache
 def groups() -> dict[str, type]:
     """Return the dataclass of each group of settings, by the group's name."""
-    found = {}
-    for cls in settings_classes():
-        hints = get_type_hints(cls)
-        for field in dataclasses.fields(cls):
-            if (CONF / field.name).is_dir() or (CONF / "schema" / field.name).exists():
-                nested = _dataclass_in(hints[field.name])
-                if nested is not None:
-                    found[field.name] = nested
+    found: dict[str, type] = {}
+    for cls in PROGRAMS.values():
+        for name, hint in get_type_hints(cls).items():
+            nested = _dataclass_in(hint)
+            # Programs may share a group and need only some of its settings.
+            if nested and len(dataclasses.fields(nested)) >= len(dataclasses.fields(found.get(name, nested))):
+                found[name] = nested
     return found
 
 
@@ -152,19 +139,15 @@ def meanings(cls: type, group: str = "") -> dict[str, tuple[str, str]]:
     return {name: (kind, described.get(name, "")) for name, kind in types.items()}
 
 
-def top_level() -> dict[str, tuple[str, str]]:
-    """Return type and description of the settings that belong to no group."""
-    merged: dict[str, tuple[str, str]] = {}
-    for cls in settings_classes():
-        hints = get_type_hints(cls)
-        if not any(
-            _dataclass_in(hints[field.name]) is groups().get(field.name, ()) for field in dataclasses.fields(cls)
-        ):
-            continue
+def top_level() -> dict[str, tuple[list[str], str, str]]:
+    """Return the programs, type and description of every setting that belongs to no group."""
+    found: dict[str, tuple[list[str], str, str]] = {}
+    for program, cls in PROGRAMS.items():
         for name, (kind, text) in meanings(cls).items():
-            if name not in groups() and (text or name not in merged):
-                merged[name] = (kind, text)
-    return merged
+            if name not in groups() and name not in TABLES:
+                had = found.get(name, ([], kind, text))
+                found[name] = ([*had[0], program], had[1], had[2] or text)
+    return found
 
 
 def raw(path: Path) -> dict[str, Any]:
@@ -218,29 +201,31 @@ def trailing_comments(path: Path) -> dict[str, str]:
 
 
 @functools.cache
-def programs() -> dict[str, Path]:
-    """Return the primary YAML files: one for each program, or one for all."""
-    return {path.stem: path for path in sorted(CONF.glob("*.yaml"))}
+def primary() -> list[dict[str, Any]]:
+    """Return the YAML files of the programs and those that they build on, each as it stands."""
+    return [raw(path) for path in (*sorted((CONF / BASE).glob("*.yaml")), *sorted(CONF.glob("*.yaml")))]
 
 
 def chosen() -> dict[str, str]:
     """Return the option of each group that is taken by default."""
     found: dict[str, str] = {}
-    for path in programs().values():
-        for entry in raw(path).get("defaults", []):
+    for values in primary():
+        for entry in values.get("defaults", []):
             for group, name in entry.items() if isinstance(entry, dict) else ():
-                group = str(group).removeprefix("override ").removeprefix("optional ").lstrip("/").split("@")[0]
+                group = str(group).removeprefix("override ").lstrip("/")
                 if name is not None and (CONF / group / f"{name}.yaml").exists():
                     found.setdefault(group, str(name))
     return found
 
 
-def described(values: dict[str, Any], known: dict[str, tuple[str, str]], prefix: str) -> Iterator[str]:
-    """Yield a row for each setting: those with a default first, then those that a user may add."""
-    for name in [*values, *(each for each in known if each not in values)]:
-        kind, text = known.get(name, ("", ""))
-        default = code(values[name]) if name in values else ""
-        yield row(f"`{prefix}{name}`", default, f"`{kind}`".replace("|", r"\|") if kind else "", plain(text))
+def defaults(group: str) -> dict[str, Any]:
+    """Return the default values of a group: those of the programs, then those of the chosen option."""
+    found: dict[str, Any] = {}
+    for values in primary():
+        found |= values.get(group) or {}
+    if group in chosen():
+        found |= option(group, chosen()[group])
+    return found
 
 
 def settings_page() -> str:
@@ -251,40 +236,33 @@ def settings_page() -> str:
         "Every setting with its default, its type, and its meaning. A group is a folder in `conf/`:",
     ]
     lines += ["`group=option` chooses one of its files, and `group.setting=value` changes one value.", ""]
-    lines += ["## Settings without a group", ""]
-    values: dict[str, Any] = {}
-    comments: dict[str, str] = {}
-    for path in programs().values():
-        values |= {k: v for k, v in raw(path).items() if k not in ("defaults", "hydra") and not isinstance(v, dict)}
-        comments |= trailing_comments(path)
-    known = top_level()
-    for name, text in comments.items():
-        if name in values and not known.get(name, ("", ""))[1]:
-            known[name] = (known.get(name, ("", ""))[0], text)
-    known = {name: value for name, value in known.items() if name in values or value[1]}
-    known = {name: value for name, value in known.items() if name not in TABLES}
-    lines += [*head("setting", "default", "type", "meaning"), *described(values, known, ""), ""]
-    for group in sorted(path.name for path in CONF.iterdir() if path.is_dir()):
+    lines += ["## Settings without a group", "", *head("setting", "default", "type", "programs", "meaning")]
+    values = {key: value for each in primary() for key, value in each.items()}
+    for name, (programs, kind, text) in top_level().items():
+        default = code(values[name]) if name in values else ""
+        lines.append(row(f"`{name}`", default, code(kind), ", ".join(programs), plain(text)))
+    lines.append("")
+    for group in sorted(path.name for path in CONF.iterdir() if path.is_dir() and path.name != BASE):
         lines += _group(group)
     return "\n".join(lines)
 
 
 def _group(group: str) -> list[str]:
-    default = chosen().get(group)
     lines = [f"## {group}", ""]
     cls = groups().get(group)
     if cls is not None:
         lines += [plain(" ".join(Docstring.of(cls).paragraphs)), ""]
-    names = [f"`{name}`" + (" (default)" if name == default else "") for name in options(group)]
+    names = [f"`{name}`" + (" (default)" if name == chosen().get(group) else "") for name in options(group)]
     lines += [f"Options: {', '.join(names)}.", ""]
     if group in TABLES:
-        lines += [f"A table of terms: see [the {group} terms]({group}s.md).", ""]
-        return lines
+        return [*lines, f"A table of terms: see [the {group} terms]({group}s.md).", ""]
     if cls is not None:
-        values = option(group, default) if default is not None else {}
-        known = meanings(cls, group)
-        values = {name: value for name, value in values.items() if name in known}
-        lines += [*head("setting", "default", "type", "meaning"), *described(values, known, f"{group}."), ""]
+        values = defaults(group)
+        lines += head("setting", "default", "type", "meaning")
+        for name, (kind, text) in meanings(cls, group).items():
+            default = code(values[name]) if name in values else ""
+            lines.append(row(f"`{group}.{name}`", default, code(kind), plain(text)))
+        lines.append("")
     return lines
 
 
@@ -317,7 +295,7 @@ def terms_page(title: str, intro: str, registry: Any, group: str, about: Callabl
     lines = [f"# {title}", "", intro, "", *head("term", "kind", "in tables", "meaning")]
     sections: list[str] = []
     for name in registry.names():
-        function = registry.function(name)
+        function = registry.bind(name, {})
         docstring = Docstring.of(function)
         kind = about(registry.attributes(name), function)
         lines.append(row(f"[`{name}`](#{group}-{name})", kind, weights(group, name), plain(docstring.paragraphs[0])))

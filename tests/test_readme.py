@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from tiny import SILENT, TINY
 
 
 def blocks(path: Path) -> list[str]:
@@ -23,6 +24,17 @@ def test_examples_run(repo_root: Path, page: str, capsys: pytest.CaptureFixture[
         assert found
         exec(compile(fewer, page, "exec"), {})
     assert capsys.readouterr().out
+
+
+def test_training_example_runs(repo_root: Path, runs_root: Path, torch_as_it_was: None) -> None:
+    (code,) = [code for code in blocks(repo_root / "docs/usage.md") if "Trainer(" in code]
+    small = repr([*TINY, *SILENT, "total_frames=64"])
+    shorter, found = re.subn(r'\["total_frames=\d+"\]', lambda _: small, code)
+    assert found
+    namespace: dict[str, object] = {}
+    exec(compile(shorter, "docs/usage.md", "exec"), namespace)
+    assert namespace["trainer"].frames == 64  # type: ignore[attr-defined]
+    assert list(runs_root.rglob("policy.safetensors"))
 
 
 def commands(path: Path) -> list[str]:

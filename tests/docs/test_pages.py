@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from skatemount.config import stages, suites
+from skatemount.config.versions import RENAMED
+from skatemount.runs.shipped import ALIASES
 
 ROOT = Path(__file__).resolve().parents[2]
 GENERATED = ROOT / "docs" / "api"
@@ -96,3 +98,11 @@ def test_spelling_is_american(page: Path) -> None:
 def test_success_is_defined_in_one_place() -> None:
     # The angle of the deck is part of the definition and of nothing else.
     assert [page.name for page in PAGES if "30° of level" in page.read_text(encoding="utf-8")] == ["mountbench.md"]
+
+
+def test_every_renamed_setting_is_in_the_changelog() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert [f"{old} {new}" for old, new in RENAMED.items() if f"| `{old}` | `{new}` |" not in text] == []
+    assert [
+        f"{old} {new}" for old, new in ALIASES.items() if f"| `pretrained:{old}` | `pretrained:{new}` |" not in text
+    ] == []
