@@ -157,7 +157,7 @@ class RunFolder:
     @property
     def parts(self) -> list[RunFolder]:
         """The runs that this one consists of, in order; none for a single training."""
-        numbered = ((_PART.fullmatch(p.name), p) for p in self.path.iterdir() if is_run(p))
+        numbered = ((_PART.fullmatch(p.name), p) for p in self.path.glob("*") if is_run(p))
         ordered = sorted((int(number[1]), p) for number, p in numbered if number)
         return [RunFolder(path, parent=self) for _, path in ordered]
 
