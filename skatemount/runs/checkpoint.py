@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import re
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -19,22 +18,13 @@ from typing import Any
 from torch import Tensor, nn
 
 from skatemount.runs import atomic
-from skatemount.runs.serialization import (
-    check_format,
-    load_state,
-    parse_json,
-    read_bytes,
-    read_tensors,
-    save_state,
-    write_tensors,
-)
+from skatemount.runs.serialization import load_state, parse_json, read_bytes, read_tensors, save_state, write_tensors
 from skatemount.utils.errors import ConfigError
 
 CARD_FORMAT = 1
 POLICY_FILE = "policy.safetensors"
 TRAINING_FOLDER = "training"
 
-_STEP_FOLDER = re.compile(r"step_\d{12}\d*")
 _NON_FINITE = ("nan", "inf", "-inf")
 
 
@@ -76,8 +66,7 @@ class PolicyCard:
     @classmethod
     def from_json(cls, text: str | bytes, where: str = "card") -> PolicyCard:
         """Return a card from its JSON; `where` begins the `ConfigError` on a malformed one."""
-        document = parse_json(text, where)
-        check_format(document, CARD_FORMAT, where)
+        document = parse_json(text, where, CARD_FORMAT)
         kinds = {name: typing.get_origin(hint) or hint for name, hint in typing.get_type_hints(cls).items()}
         if unknown := sorted(set(document) - set(kinds)):
             raise ConfigError(f"{where}: unknown field {unknown[0]!r}; known: {', '.join(kinds)}")
@@ -98,23 +87,17 @@ def save_policy(path: Path, modules: Mapping[str, nn.Module], card: PolicyCard) 
 
     Args:
         path: The `.safetensors` file; the card goes beside it, ending in `.json`.
-        modules: Networks by name, such as ``{"actor": …, "critic": …}``; weights are saved as ``actor.<parameter>``.
+        modules: Networks by names without dots, such as ``{"actor": …, "critic": …}``; a weight's name in the file is
+            ``actor.<parameter>``.
         card: The card; its `sha256` is filled in on disk.
 
     Raises:
-        ConfigError: The path does not end in `.safetensors`, a name has a dot, or a module's state is not all tensors.
+        ConfigError: The path does not end in `.safetensors`, or the card holds other than plain data.
     """
     path = Path(path)
     if path.suffix != ".safetensors":
         raise ConfigError(f"{path}: a policy file ends in .safetensors")
-    tensors: dict[str, Tensor] = {}
-    for name, module in modules.items():
-        if not name or "." in name:
-            raise ConfigError(f"module name {name!r}: a name without dots is needed")
-        for key, value in module.state_dict().items():
-            if not isinstance(value, Tensor):
-                raise ConfigError(f"{name}.{key}: a {type(value).__name__}; only tensors are stored in a policy")
-            tensors[f"{name}.{key}"] = value
+    tensors = {f"{name}.{key}": v for name, module in modules.items() for key, v in module.state_dict().items()}
     card.to_json()  # a card that cannot be written must not leave weights without one
     digest = write_tensors(path, tensors)
     atomic.write_text(_card_path(path), dataclasses.replace(card, sha256=digest).to_json())
@@ -196,8 +179,7 @@ def list_checkpoints(checkpoints: Path) -> list[Path]:
 
     The order is by time, not by step: a run that resumed from an earlier checkpoint writes smaller steps later.
     """
-    found = [p for p in checkpoints.glob("step_*") if _STEP_FOLDER.fullmatch(p.name)]
-    return sorted(filter(is_checkpoint, found), key=lambda p: (p.stat().st_mtime_ns, p.name))
+    return sorted(filter(is_checkpoint, checkpoints.glob("step_*")), key=lambda p: (p.stat().st_mtime_ns, p.name))
 
 
 def keep_last(checkpoints: Path, n: int, protect: Path | None = None) -> list[Path]:

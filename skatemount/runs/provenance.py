@@ -1,4 +1,4 @@
-"""What code ran, and on what: enough to tell later why two runs differ."""
+"""Description of the code and the machine of a run, to explain later why two runs differ."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def package_versions() -> dict[str, str]:
-    """Returns the exact versions of the installed packages that results depend on."""
+    """Return the exact versions of the installed packages that results depend on."""
     versions = {}
     for name in PACKAGES:
         try:
@@ -29,7 +29,7 @@ def package_versions() -> dict[str, str]:
 
 
 def environment_report() -> str:
-    """Returns Python, platform, processor count and package versions, one a line."""
+    """Return Python, platform, processor count and package versions, one per line."""
     lines = {
         "python": sys.version.replace("\n", " "),
         "platform": platform.platform(),
@@ -43,15 +43,15 @@ def environment_report() -> str:
 
 
 def git_report(package: Path = _PACKAGE) -> str:
-    """Returns commit, status and difference of the source tree, or that there is none.
+    """Return commit, status and difference of the source tree, or the installed version if there is no such tree.
 
-    The result is a patch: `git apply` skips the leading lines.
+    The text is a patch: `git apply` skips the leading lines.
 
     Args:
         package: The package's folder; its parent is the source tree if git says so.
     """
     top = _git(package, "rev-parse", "--show-toplevel")
-    # A package installed in somebody's own repository is not under version control there.
+    # A package that is installed inside a user's own repository is not under version control there.
     if top is None or Path(top.strip()).resolve() != package.parent:
         version = package_versions().get("skatemount", "unknown")
         return f"# not a git checkout: skatemount {version}, installed in {package}\n"
@@ -64,9 +64,9 @@ def git_report(package: Path = _PACKAGE) -> str:
 
 
 def _git(folder: Path, *arguments: str) -> str | None:
-    """Runs git in `folder`; None if it fails, is missing or hangs."""
-    # Variables that a hook sets would make git look at another repository; optional locks would get
-    # in the way of the user's own git commands.
+    """Run git in a folder and return its output; None if it fails, is missing or hangs."""
+    # Variables that a hook sets would make git look at another repository; optional locks would block the user's own
+    # git commands.
     environment = {k: v for k, v in os.environ.items() if not k.startswith("GIT_")}
     environment["GIT_OPTIONAL_LOCKS"] = "0"
     try:

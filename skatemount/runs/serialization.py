@@ -59,8 +59,7 @@ def load_state(folder: Path) -> dict[str, Any]:
         ConfigError: A file is missing, damaged, or of a newer format; the message names it.
     """
     path = folder / VALUES_FILE
-    document = parse_json(read_bytes(path), path)
-    check_format(document, FORMAT, path)
+    document = parse_json(read_bytes(path), path, FORMAT)
     try:
         state = document["state"]
         if _digest(state) != document["state_sha256"]:
@@ -120,24 +119,30 @@ def read_bytes(path: Path) -> bytes:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def parse_json(text: str | bytes, where: Path | str) -> dict[str, Any]:
-    """Return a JSON object from text; anything else is a `ConfigError` that begins with `where`."""
+def parse_json(text: str | bytes, where: Path | str, newest: int | None = None) -> dict[str, Any]:
+    """Return a JSON object from text.
+
+    Args:
+        text: The text.
+        where: Its name in messages, such as the file's path.
+        newest: If given, the object's ``format`` must be a whole number from 1 to this.
+
+    Raises:
+        ConfigError: It is something else.
+    """
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{where}: damaged or not JSON ({error})") from error
     if not isinstance(document, dict):
         raise ConfigError(f"{where}: holds a {type(document).__name__}, a JSON object is needed")
+    if newest is not None:
+        found = document.get("format")
+        if type(found) is not int or found < 1:
+            raise ConfigError(f"{where}: format={found!r}, a whole number from 1 to {newest} is needed")
+        if found > newest:
+            raise ConfigError(f"{where}: format={found} is newer than {newest}, the newest this version reads")
     return document
-
-
-def check_format(document: dict[str, Any], known: int, where: Path | str) -> None:
-    """Raise `ConfigError` unless a document's format is a whole number from 1 to `known`."""
-    found = document.get("format")
-    if type(found) is not int or found < 1:
-        raise ConfigError(f"{where}: format={found!r}, a whole number from 1 to {known} is needed")
-    if found > known:
-        raise ConfigError(f"{where}: format={found} is newer than {known}, the newest this version reads")
 
 
 def _digest(values: Any) -> str:

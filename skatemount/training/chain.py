@@ -170,7 +170,7 @@ class Chain:
         return max(1, round(left * shares[0] / sum(shares)))
 
     def ended(self, place: int) -> str | None:
-        """Return what ended a stage, ``gate`` or ``budget``; None if it has to start or to go on.
+        """Return what ended a stage, ``gate`` or ``budget``; None if it has not started or needs more training.
 
         Args:
             place: The stage's place in the chain, from 0.

@@ -199,7 +199,7 @@ class Trainer:
 
     @property
     def stopping(self) -> bool:
-        """Whether the present iteration is the last one: the frames are spent, or `stop` was called."""
+        """True in the last iteration: the frames are spent, or `stop` was called."""
         return self._stopped or self.frames >= self.config.total_frames
 
     def stop(self) -> None:
