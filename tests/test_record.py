@@ -117,11 +117,10 @@ def test_a_fast_film_skips_steps(checkpoint: Path) -> None:
 @needs_opengl
 def test_cameras_differ(checkpoint: Path) -> None:
     seen = []
-    for camera in ("follow", "side", "top"):
+    for camera in ("follow", "top"):
         mp4, _ = film(checkpoint, "episode=1", "film.width=160", "film.height=120", f"film.camera={camera}")
         seen.append(read(mp4)[1][0])
-    for one, other in ((0, 1), (0, 2), (1, 2)):
-        assert np.abs(seen[one] - seen[other]).mean() > 10
+    assert np.abs(seen[0] - seen[1]).mean() > 10
 
 
 def test_films_go_to_their_run(checkpoint: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from PIL import Image
 
 from skatemount.utils.errors import ConfigError
 
-GIF_WIDTH, GIF_COLORS = 480, 96
+GIF_WIDTH, GIF_COLORS = 480, 128
 GIF_RATE = 12.5
 """Pictures a second, at most. The format counts in hundredths of a second."""
 
@@ -39,7 +39,7 @@ def mp4_writer(path: Path, rate: float, size: tuple[int, int]) -> Iterator[Gener
         quality=None,
         macro_block_size=2,
         # The temporary name of the file does not tell its format.
-        output_params=["-crf", "21", "-preset", "veryfast", "-f", "mp4", "-movflags", "+faststart"],
+        output_params=["-crf", "23", "-preset", "veryfast", "-f", "mp4", "-movflags", "+faststart"],
     )
     try:
         writer.send(None)
@@ -94,5 +94,6 @@ def _same_colors(pictures: Sequence[Image.Image]) -> list[Image.Image]:
     sheet = Image.new("RGB", (width, height * len(some)))
     for i, picture in enumerate(some):
         sheet.paste(picture, (0, i * height))
-    palette = sheet.quantize(GIF_COLORS, method=Image.Quantize.MEDIANCUT)
+    # Unlike the median cut, this keeps the colors of small things such as wheels.
+    palette = sheet.quantize(GIF_COLORS, method=Image.Quantize.FASTOCTREE)
     return [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]

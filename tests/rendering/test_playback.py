@@ -71,7 +71,7 @@ def test_the_camera_keeps_robot_and_board_in_the_picture_and_is_close(mounting: 
         assert np.abs(seen[..., 0]).max() <= MARGIN + 1e-9
         assert LABEL_ROOM - MARGIN - 1e-9 <= seen[..., 1].min() <= seen[..., 1].max() <= MARGIN + 1e-9
     share = ((robot.max(1) - robot.min(1)) / 2).max(1)
-    assert share.min() > 0.35
+    assert share.min() > (0.35 if view == "follow" else 0.25)
     if view != "fixed":
         assert share[-20:].min() > 0.55
     acceleration = np.diff(path.position, 2, axis=0) / step**2
@@ -98,11 +98,8 @@ def first_of(records: EpisodeRecords) -> int:
 
 
 def test_the_first_success_is_chosen_and_the_failures_before_are_told() -> None:
-    for seed in range(20):
-        trial = failing(f"seed={seed}")
-        records = trial.evaluate(6).records
-        if records.success.any() and not records.success[0]:
-            break
+    trial = failing("seed=6")
+    records = trial.evaluate(6).records
     number = first_of(records)
     episode = replay_episode(trial)
     assert episode.number == number > 0
@@ -116,7 +113,7 @@ def test_the_first_success_is_chosen_and_the_failures_before_are_told() -> None:
 
 
 def test_without_a_success_the_first_episode_is_filmed_with_its_end() -> None:
-    episode = replay_episode(failing("termination.tilt.limit=1"))
+    episode = replay_episode(failing("termination.tilt.params.degrees=1"))
     assert episode.number == 0
     assert episode.choice == "none of the first 6 episodes succeeded"
     assert episode.frames[-1].outcome == "failed: tilt"
@@ -126,7 +123,7 @@ def test_without_a_success_the_first_episode_is_filmed_with_its_end() -> None:
 def test_variants_take_turns() -> None:
     """The lowest number counts, whichever variant it belongs to; the first variant never succeeds here."""
     base = failing()
-    variants = {"never": ["termination.tilt.limit=1"], "often": ["start.ang_vel=[0,0]"]}
+    variants = {"never": ["termination.tilt.params.degrees=1"], "often": ["start.ang_vel=[0,0]"]}
     suite = SuiteConfig(name="test", stage="balance", overrides=["episode_length=1.6"], variants=variants)
     trial = EvaluationTask.of(base.agent, suite, ["physics.num_worlds=3", "physics.threads=1"])
     records = trial.evaluate(6).records
@@ -137,5 +134,5 @@ def test_variants_take_turns() -> None:
 
 def test_no_more_than_the_first_episodes_are_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(playback, "SEARCHED", 2)
-    episode = replay_episode(failing("termination.tilt.limit=1"))
+    episode = replay_episode(failing("termination.tilt.params.degrees=1"))
     assert episode.choice == "none of the first 2 episodes succeeded"
