@@ -49,6 +49,6 @@ class CommandConfig:
         if not 0 < self.resample < math.inf:
             raise ConfigError(f"{where}.resample={self.resample} must be above 0 s and finite")
         if not 0 <= self.standing <= 1:
-            raise ConfigError(f"{where}.standing={self.standing} must be a fraction from 0 to 1")
+            raise ConfigError(f"{where}.standing={self.standing} must be a fraction between 0 and 1")
         if not self.deadband >= 0:
-            raise ConfigError(f"{where}.deadband={self.deadband} must be >= 0 m/s")
+            raise ConfigError(f"{where}.deadband={self.deadband} must be 0 or more, in m/s")

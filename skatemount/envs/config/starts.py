@@ -63,7 +63,7 @@ class StartConfig:
             if isinstance(value, list):
                 check_range(f"{where}.{name}", value)
         if not 0.0 <= self.board_fixed <= 1.0:
-            raise ConfigError(f"{where}.board_fixed={self.board_fixed} must be a fraction from 0 to 1")
+            raise ConfigError(f"{where}.board_fixed={self.board_fixed} must be a fraction between 0 and 1")
         for name in ("roll", "pitch"):
             low, high = getattr(self, name)
             if max(-low, high) > _MAX_TILT:
@@ -80,4 +80,4 @@ class StartConfig:
         if self.height[0] < 0:
             raise ConfigError(f"{where}.height={self.height} must be >= 0 m; the robot would start inside the ground")
         if not 0 <= self.edge_margin < math.inf:
-            raise ConfigError(f"{where}.edge_margin={self.edge_margin} must be >= 0 m and finite")
+            raise ConfigError(f"{where}.edge_margin={self.edge_margin} must be 0 or more and finite, in m")
