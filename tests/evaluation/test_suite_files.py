@@ -41,7 +41,6 @@ def test_mistakes_in_a_file_are_one_line_that_names_the_key(
     (tmp_path / "suite").mkdir()
     (tmp_path / "suite" / "own.yaml").write_text(text)
     monkeypatch.setattr(configuration, "config_dir", lambda: tmp_path)
-    monkeypatch.setattr(configuration, "check_suite", lambda name: None)
     with pytest.raises(ConfigError) as error:
         load_suite("own")
     assert said in str(error.value) and "\n" not in str(error.value)
