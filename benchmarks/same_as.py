@@ -25,7 +25,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 GOLDEN = ROOT / "tests" / "golden"
-sys.path.insert(0, str(GOLDEN))
+# The code beside this script, and not an installed version.
+sys.path[:0] = [str(ROOT), str(GOLDEN)]
 
 import adapter  # noqa: E402
 import golden_compare  # noqa: E402
