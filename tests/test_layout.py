@@ -1,0 +1,67 @@
+"""Tests mirror the package: every module has a test file of its own, or a reason why it has none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+TESTED_IN = {
+    "agents/interface.py": "agents/test_trained_policy.py",
+    "agents/policy.py": "evaluation/test_evaluator.py",
+    "bench.py": "profiling/test_measure.py",
+    "cli.py": "test_train_command.py",
+    "config/bench.py": "profiling/test_measure.py",
+    "config/files.py": "config/test_compose.py",
+    "config/messages.py": "config/test_compose.py",
+    "config/overrides.py": "config/test_keys.py",
+    "config/programs.py": "config/test_keys.py",
+    "config/schema.py": "config/test_compose.py",
+    "curriculum/config.py": "curriculum/test_auto.py",
+    "envs/config/commands.py": "envs/test_commands.py",
+    "envs/config/physics.py": "envs/physics/test_factory.py",
+    "envs/config/randomization.py": "envs/test_randomization.py",
+    "envs/config/robot.py": "envs/entities/test_a1.py",
+    "envs/config/starts.py": "envs/test_starts.py",
+    "envs/config/terms.py": "envs/config/test_task.py",
+    "envs/entities/a1_links.py": "envs/entities/test_a1.py",
+    "envs/mdp.py": "envs/test_task.py",
+    "envs/rewards/board.py": "envs/rewards/test_terms.py",
+    "envs/rewards/locomotion.py": "envs/rewards/test_terms.py",
+    "envs/state.py": "envs/physics/test_cpu.py",
+    "evaluation/report.py": "evaluation/test_results.py",
+    "losses/config.py": "losses/test_ppo.py",
+    "models/config.py": "models/test_actor_critic.py",
+    "profiling/report.py": "profiling/test_measure.py",
+    "profiling/workload.py": "profiling/test_measure.py",
+    "rendering/video.py": "test_record.py",
+    "runs/atomic.py": "runs/test_checkpoint.py",
+    "runs/find.py": "runs/test_folder.py",
+    "runs/metrics.py": "runs/test_loggers.py",
+    "runs/old_state.py": "training/test_trainer.py",
+    "runs/provenance.py": "runs/test_folder.py",
+    "runs/serialization.py": "runs/test_checkpoint.py",
+    "runs/shipped.py": "config/test_versions.py",
+    "train.py": "test_train_command.py",
+    "training/resume.py": "training/test_trainer.py",
+    "training/state.py": "training/test_trainer.py",
+}
+"""Modules that are part of what another module's tests are about, and that test file."""
+
+
+def modules() -> set[str]:
+    files = (ROOT / "skatemount").rglob("*.py")
+    return {str(path.relative_to(ROOT / "skatemount")) for path in files if not path.name.startswith("__")}
+
+
+def own_test(module: str) -> Path:
+    path = Path(module)
+    return ROOT / "tests" / path.parent / f"test_{path.name}"
+
+
+def test_every_module_has_a_test_of_its_own_or_a_reason() -> None:
+    assert {module for module in modules() if not own_test(module).is_file()} == set(TESTED_IN)
+
+
+def test_the_reasons_name_tests_that_exist() -> None:
+    assert [test for test in TESTED_IN.values() if not (ROOT / "tests" / test).is_file()] == []
