@@ -7,7 +7,6 @@ import json
 import math
 import re
 import shlex
-import shutil
 import signal
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,7 +14,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-import safetensors.torch
 import torch
 import yaml
 from tiny import BATCH, SILENT, TINY
@@ -25,7 +23,7 @@ from skatemount.config import Config, compose, from_dict
 from skatemount.runs.checkpoint import TRAINING_FOLDER, list_checkpoints, load_training_state
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
-from skatemount.runs.serialization import save_state, write_tensors
+from skatemount.runs.serialization import save_state
 from skatemount.train import train
 from skatemount.training.callbacks import Callback, EvaluationCallback
 from skatemount.training.resume import resume_config
@@ -54,15 +52,17 @@ def run_with(callbacks: Sequence[Callback], root: Path, *overrides: str, frames:
 
 
 class Interrupt(Callback):
-    """The user ends the training when an update, counted from 1, is about to begin."""
+    """The user ends the training, by Ctrl-C or a signal, when an update, counted from 1, is about to begin."""
 
-    def __init__(self, call: int, how: int = signal.SIGINT):
-        self.left, self.how = call, how
+    def __init__(self, call: int, signum: int | None = None):
+        self.left, self.signum = call, signum
 
     def on_batch_collected(self, trainer: Trainer, batch: Any) -> None:
         self.left -= 1
         if not self.left:
-            signal.raise_signal(self.how)
+            if self.signum is None:
+                raise KeyboardInterrupt
+            signal.raise_signal(self.signum)
 
 
 class Rates(EvaluationCallback):
@@ -387,57 +387,3 @@ def test_the_end_names_the_next_commands(tmp_path: Path, capsys: pytest.CaptureF
     assert (module, settings) == ("skatemount.evaluate", [f"checkpoint={left.path}", "suite=balance-fixed"])
     assert shlex.split(record) == ["python", "-m", "skatemount.record", f"checkpoint={left.path}"]
     assert find_checkpoint(settings[0].partition("=")[2]) == left.latest
-
-
-OLD_RUN = Path(__file__).parents[1] / "golden" / "data" / "old_run"
-
-
-@pytest.fixture
-def old_run(tmp_path: Path) -> RunFolder:
-    """A run of commit 5ce7322, five iterations with the automatic curriculum."""
-    return RunFolder.open(shutil.copytree(OLD_RUN, tmp_path / "runs" / "exp" / "old"))
-
-
-def test_a_run_of_an_older_version_resumes(old_run: RunFolder) -> None:
-    assert old_run.latest is not None
-    saved, policy = load_training_state(old_run.latest), weights(old_run)
-    config = go_on(old_run, f"total_frames={6 * BATCH}")
-    trainer = Trainer(config)
-    assert same(trainer.networks.state_dict(), policy)
-    assert (trainer.frames, trainer.iteration) == (5 * BATCH, 5)
-    moments = trainer.ppo.state_dict()["optimizer"]
-    assert len(moments) == len(saved["ppo"]["optimizer"]) == len(list(trainer.networks.parameters()))
-    for i, values in enumerate(moments.values()):
-        assert all(torch.equal(value, saved["ppo"]["optimizer"][str(i)][name]) for name, value in values.items())
-    assert trainer.curriculum is not None
-    assert torch.equal(trainer.curriculum.state_dict()["opened"], saved["curriculum"]["opened"])
-    assert torch.equal(trainer.env.generator.get_state(), saved["env"]["generator"])
-    trainer.train()
-    trainer.close()
-    assert old_run.latest.name == f"step_{6 * BATCH:012d}"
-    assert load_training_state(old_run.latest)["progress"]["iteration"] == 6
-    assert [row["frames"] for row in rows(old_run)] == [i * BATCH for i in range(1, 7)]
-    assert old_run.metrics_file.name == "metrics.jsonl" and not (old_run.path / "metrics.csv").exists()
-
-
-def test_samples_that_features_of_an_older_run_have_missed_are_read(old_run: RunFolder) -> None:
-    assert old_run.latest is not None
-    path = old_run.latest / TRAINING_FOLDER
-    document = json.loads((path / "state.json").read_text())
-    tensors = safetensors.torch.load_file(path / "tensors.safetensors")
-    missed = tensors["state.behind.0"]
-    missed[3] = 10
-    document["tensors_sha256"] = write_tensors(path / "tensors.safetensors", tensors)
-    (path / "state.json").write_text(json.dumps(document))
-    trainer = Trainer(go_on(old_run, f"total_frames={6 * BATCH}"))
-    trainer.close()
-    count = trainer.networks.normalizers[0].count
-    assert torch.equal(count, weights(old_run)["normalizers.0.count"] - missed)
-    assert count[3] == count[0] - 10
-
-
-def test_a_damaged_state_of_an_older_version_is_named(old_run: RunFolder) -> None:
-    assert old_run.latest is not None
-    path = old_run.latest / TRAINING_FOLDER / "state.json"
-    path.write_text(path.read_text().replace('"frames": 160', '"frames": 320'))
-    assert str(path) in message(lambda: Trainer(go_on(old_run, f"total_frames={6 * BATCH}")))
