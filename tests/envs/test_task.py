@@ -202,7 +202,7 @@ def test_it_runs_where_the_model_is_compiled_for_every_episode() -> None:
 
 def test_a_task_needs_no_command_line_and_names_what_is_wrong() -> None:
     assert MountTask().config.episode_length > 0
-    with pytest.raises(ConfigError, match=r"stage=jump is not a stage.*balance"):
+    with pytest.raises(ConfigError, match=r"there is no stage jump; there are: .*balance"):
         MountTask(stage="jump")
     with pytest.raises(ConfigError, match="episode_length=-1"):
         MountTask(stage="mount", overrides=["episode_length=-1"])

@@ -28,14 +28,14 @@ def robot(request):
 @pytest.fixture(scope="module")
 def held():
     """An A1 whose trunk is held by the world, with its physics."""
-    entity = A1()
+    entity = A1(defaults.robot())
     return entity, mjcf.Physics.from_mjcf_model(entity.mjcf_model)
 
 
 @pytest.fixture(scope="module")
 def standing():
     """An A1 free to move on a floor, after two seconds at its default pose."""
-    entity, arena = A1(), composer.Arena()
+    entity, arena = A1(defaults.robot()), composer.Arena()
     arena.mjcf_model.worldbody.add("geom", name="floor", type="plane", size=(2, 2, 0.1), contype=0, conaffinity=1)
     frame = arena.add_free_entity(entity)
     physics = mjcf.Physics.from_mjcf_model(arena.mjcf_model)
@@ -90,7 +90,7 @@ def test_robot_is_mirror_symmetric(robot):
 
 
 def test_hip_inertials_of_front_and_rear_are_reflections():
-    entity = A1()
+    entity = A1(defaults.robot())
     front, rear = (entity.mjcf_model.find("body", name).inertial for name in ("FR_hip", "RR_hip"))
     np.testing.assert_allclose(front.pos, [-0.003311, -0.000635, 3.1e-5])
     np.testing.assert_allclose(rear.pos, [0.003311, -0.000635, 3.1e-5])
@@ -266,7 +266,7 @@ def test_foot_and_joint_settings_reach_the_model():
 @pytest.mark.parametrize("pitch", [-1.4, -0.7, 0.0, 0.7, 1.4])
 def test_shank_stays_above_the_ball_of_the_foot(calf, pitch):
     """Whatever the shank's pitch short of horizontal, the foot is the calf's lowest point."""
-    entity = A1()
+    entity = A1(defaults.robot())
     physics = mjcf.Physics.from_mjcf_model(entity.mjcf_model)
     with physics.reset_context():
         physics.bind(entity.joints).qpos = [0, pitch - calf, calf] * 4
