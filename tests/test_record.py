@@ -176,3 +176,11 @@ def final_positions(trial: EvaluationTask, rounds: int) -> dict[int, np.ndarray]
 def test_a_suite_of_suites_cannot_be_filmed(checkpoint: Path) -> None:
     with pytest.raises(ConfigError, match="suite=all: name one to film, of gait, balance-fixed"):
         record(compose_program("record", ["suite=all"]), ["suite=all"])
+
+
+def test_the_gif_of_the_readme_is_small(repo_root: Path) -> None:
+    gif = repo_root / "docs" / "_static" / "best.gif"
+    assert gif.stat().st_size < 3e6
+    with Image.open(gif) as picture:
+        assert picture.size == (480, 360)
+        assert picture.n_frames > 60

@@ -1,4 +1,4 @@
-"""Which OpenGL library draws. It has to be chosen before mujoco or dm_control are imported: they read it once."""
+"""Choice of the OpenGL library. It precedes the import of mujoco and dm_control, which read it once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TRIAL = "import mujoco; c = mujoco.GLContext(16, 16); c.make_current(); c.free(
 
 
 def works(backend: str) -> bool:
-    """Whether a library can draw here, tried in a process of its own because a failure may be a crash."""
+    """Return whether a library can draw here; tried in a process of its own, because a failure may be a crash."""
     environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"} | {VARIABLE: backend}
     try:
         trial = subprocess.run(
@@ -29,17 +29,17 @@ def works(backend: str) -> bool:
 def choose(works: Callable[[str], bool] = works) -> str | None:
     """Choose a library that can draw, and put it into ``MUJOCO_GL``.
 
-    On Linux EGL and then OSMesa are tried, which need no display, then GLFW if there is one. A choice that is in the
-    variable already is kept. Other systems need no choice.
+    On Linux this tries EGL and OSMesa, which need no display, and then GLFW if there is a display. It keeps a choice
+    that the variable already holds. Other systems need no choice.
 
     Args:
         works: Tells whether a library can draw.
 
     Returns:
-        The choice, or none where none is needed.
+        The choice, or none on a system that needs none.
 
     Raises:
-        ConfigError: There is none; the line says what to install.
+        ConfigError: No library can draw; the line says what to install.
     """
     if chosen := os.environ.get(VARIABLE):
         if works(chosen):
@@ -56,5 +56,5 @@ def choose(works: Callable[[str], bool] = works) -> str | None:
 
 
 def disable() -> None:
-    """For programs that draw nothing: keeps mujoco and dm_control from looking for a display, and from warning."""
+    """Keep mujoco and dm_control from looking for a display and from warning, in programs that draw nothing."""
     os.environ.setdefault(VARIABLE, "disable")

@@ -1,4 +1,7 @@
-"""What the A1 looks like: primitives without mass or contact."""
+"""Looks of the A1: primitives without mass or contact.
+
+The shell is light, so that the robot stands out against floor and deck; the real one is black.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ Point = tuple[float, float, float]
 
 
 def add_materials(root: mjcf.RootElement) -> None:
-    """Adds the materials that the visual geoms refer to."""
+    """Add the materials that the visual geoms refer to."""
     for name, (rgba, specular, shininess, reflectance) in _MATERIALS.items():
         root.asset.add(
             "material",
@@ -37,7 +40,7 @@ def add_materials(root: mjcf.RootElement) -> None:
 
 
 def add_trunk_visuals(trunk: mjcf.Element, kin: LegKinematics) -> None:
-    """Adds body shell, rails, head with cameras, tail, and the four hip motors to the trunk."""
+    """Add body shell, rails, head with cameras, tail, and the four hip motors to the trunk."""
     for side in (-1.0, 1.0):
         _disc(trunk, "shell", 0.054, (-0.135, side * 0.042, 0), (0.135, side * 0.042, 0))
         _rod(trunk, "silver", 0.0045, (-0.1, side * 0.05, 0.056), (0.1, side * 0.05, 0.056))
@@ -72,7 +75,7 @@ def add_trunk_visuals(trunk: mjcf.Element, kin: LegKinematics) -> None:
 
 
 def add_leg_visuals(hip: mjcf.Element, thigh: mjcf.Element, calf: mjcf.Element, leg: str, kin: LegKinematics) -> None:
-    """Adds hip housing, thigh with the knee's motor, shank and rubber foot of one leg."""
+    """Add hip housing, thigh with the knee's motor, shank and rubber foot of one leg."""
     front, s = leg_signs(leg)
     # Hip: the yoke on the roll axis and the thigh's motor across it.
     _disc(hip, "shell", 0.037, (-front * 0.026, 0, 0), (front * 0.038, 0, 0))

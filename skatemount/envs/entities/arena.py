@@ -1,4 +1,4 @@
-"""The floor, the light and the cameras around robot and board."""
+"""Floor, light and cameras around robot and board."""
 
 from __future__ import annotations
 

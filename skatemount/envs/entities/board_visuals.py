@@ -1,6 +1,6 @@
-"""What a skateboard looks like: deck with kicks and grip tape, trucks, wheels.
+"""Looks of a skateboard: deck with kicks and grip tape, trucks, wheels.
 
-Nothing here collides or weighs anything.
+None of the geoms has mass or contacts.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ def deck_mesh(
     kick_length: float,
     kick_angle: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A slab with straight sides over ``length`` and a rounded, upward bent kick at both ends.
+    """Return a slab with straight sides over ``length`` and a rounded, upward bent kick at both ends.
 
     Args:
         length: length of the flat part, m.
         width: width, m.
         top: height of the flat part's upper face, m.
         thickness: of the slab, m.
-        kick_length: how far each kick reaches beyond the flat part, m; 0 gives a plain box.
+        kick_length: length of each kick beyond the flat part, m; 0 gives a plain box.
         kick_angle: slope at the kicks' ends, rad.
 
     Returns:
-        Vertices ``[4 n, 3]`` in metres and faces ``[8 n - 4, 3]``, a closed surface with outward
+        Vertices ``[4 n, 3]`` in meters and faces ``[8 n - 4, 3]``, a closed surface with outward
         normals, where n counts the cross-sections along the deck.
     """
     half = length / 2
@@ -72,7 +72,7 @@ def deck_mesh(
 
 
 def add_materials(root: mjcf.RootElement, config: SkateboardConfig) -> None:
-    """Adds the materials and the geom class ``visual`` that the other functions use."""
+    """Add the materials and the geom class ``visual`` that the other functions use."""
     visual = root.default.add("default", dclass="visual").geom
     visual.set_attributes(contype=0, conaffinity=0, group=VISUAL_GROUP, mass=0)
     for name, rgb, shine in (
@@ -87,7 +87,7 @@ def add_materials(root: mjcf.RootElement, config: SkateboardConfig) -> None:
 
 
 def add_deck(root: mjcf.RootElement, config: SkateboardConfig) -> None:
-    """Adds the wooden deck and the grip tape on it to the root body."""
+    """Add the wooden deck and the clear grip tape on it to the root body."""
     wood = (config.deck_width, -_GRIP_THICKNESS, config.deck_thickness - _GRIP_THICKNESS)
     grip = (config.deck_width - 0.002, 0.0, _GRIP_THICKNESS)
     for name, slab in (("wood", wood), ("grip", grip)):
@@ -97,7 +97,7 @@ def add_deck(root: mjcf.RootElement, config: SkateboardConfig) -> None:
 
 
 def add_truck_mount(root: mjcf.RootElement, config: SkateboardConfig, pivot: np.ndarray, axis: np.ndarray) -> None:
-    """Adds base plate, kingpin and bushing between deck and truck to the root body.
+    """Add base plate, kingpin and bushing between deck and truck to the root body.
 
     Args:
         root: the board's model.
@@ -125,7 +125,7 @@ def add_truck_mount(root: mjcf.RootElement, config: SkateboardConfig, pivot: np.
 
 
 def add_truck(truck: mjcf.Element, config: SkateboardConfig) -> None:
-    """Adds hanger and axle to a truck's body."""
+    """Add hanger and axle to a truck's body."""
     hanger = (config.track - config.wheel_width) / 2
     reach = (config.track + config.wheel_width) / 2 + 0.006
     _rod(truck, (0, -hanger, 0), (0, hanger, 0), 0.36 * config.wheel_radius, "metal")
@@ -140,7 +140,7 @@ def add_truck(truck: mjcf.Element, config: SkateboardConfig) -> None:
 
 
 def add_wheel(wheel: mjcf.Element, config: SkateboardConfig) -> None:
-    """Adds tyre and core to a wheel's body, and a mark off the axle that shows it rolling."""
+    """Add tire and core to a wheel's body, and a mark off the axle that shows that it rolls."""
     half, radius = config.wheel_width / 2, config.wheel_radius
     mark = 0.68 * radius
     for reach, size, offset, material in (
