@@ -119,7 +119,7 @@ def test_files_are_written_before_anything_is_printed(
 
 def test_the_next_commands_film_a_failure_and_a_success(policy: Path) -> None:
     asked = [f"checkpoint={policy}", "suite=all", "suite.members=[balance-fixed,rolling]"]
-    tasks = EvaluationTask.prepare(compose(None, asked), asked)
+    tasks = EvaluationTask.prepare(compose_program("evaluate", asked), asked)
 
     def result(*success: int) -> Evaluation:
         tensors: dict[str, Any] = {name: torch.zeros(len(success)) for name in EpisodeRecords.__annotations__}

@@ -211,11 +211,12 @@ def load_suite(name: str) -> SuiteConfig:
     Raises:
         ConfigError: There is no such suite, and the message lists those that there are; or its file is not valid.
     """
-    schema = OmegaConf.structured(SuiteConfig)
+    # Below "suite", errors name the same keys as on the command line.
+    schema = OmegaConf.create({"suite": OmegaConf.structured(SuiteConfig)})
     try:
-        found = OmegaConf.to_object(OmegaConf.merge(schema, load_file("suite", name)))
+        found = OmegaConf.to_object(OmegaConf.merge(schema, {"suite": load_file("suite", name)}).suite)
     except OmegaConfBaseException as error:
-        raise ConfigError(f"suite {name}: {configuration.one_line(error)}") from error
+        raise ConfigError(configuration.one_line(error)) from error
     assert isinstance(found, SuiteConfig)
     found.validate()
     return found

@@ -115,7 +115,7 @@ def test_a_suite_that_cannot_be_is_one_line(settings: dict, said: str) -> None:
 
 
 def test_a_suite_of_suites_of_suites_is_refused() -> None:
-    with pytest.raises(ConfigError, match="all is made of other suites itself"):
+    with pytest.raises(ConfigError, match="all has members itself"):
         members_of(SuiteConfig(name="more", members=["far", "all"]))
     with pytest.raises(ConfigError, match="there is no suite near"):
         members_of(SuiteConfig(name="more", members=["near"]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 
+import defaults
 import mujoco
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ WIDTH, HEIGHT = 160, 120
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return Scene()
+    return Scene(defaults.robot(), defaults.board(), defaults.physics())
 
 
 @pytest.fixture(scope="module")

@@ -224,7 +224,7 @@ def test_only_the_first_stage_starts_from_what_the_user_names(chain: RunFolder, 
 
 def test_mistakes_are_one_line_before_anything_runs(chain: RunFolder, tmp_path: Path) -> None:
     root = tmp_path / "runs"
-    assert "+stage=mount with +curriculum=paper" in message(root, *TWO, "+stage=mount")
+    assert "stage=mount with curriculum=paper" in message(root, *TWO, "+stage=mount")
     gate = "curriculum.stages.mount.gate"
     assert f"{gate}=0.5 needs evaluations" in message(root, *TWO, f"{gate}=0.5")
     assert f"{gate}=2.0 must be" in message(root, *TWO, *EVALUATED, f"{gate}=2")
@@ -232,7 +232,7 @@ def test_mistakes_are_one_line_before_anything_runs(chain: RunFolder, tmp_path: 
     assert not root.exists()
     config = compose(None, TWO)
     config.curriculum.stages["leap"] = StageLink()
-    with pytest.raises(ConfigError, match="leap is not a stage"):
+    with pytest.raises(ConfigError, match="there is no stage leap"):
         config.validate()
     old = f"resume={chain.path}/1_balance"
     assert f"resume={chain.path}" in message(root, old) and "newest checkpoint only" in message(root, old)
