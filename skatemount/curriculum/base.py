@@ -40,7 +40,7 @@ class Curriculum(Protocol):
         """
 
     def update(self) -> None:
-        """Update the choice of poses; called after every iteration, before new poses are drawn."""
+        """Update the choice of poses; called after every batch, before it is learned from and new poses are drawn."""
 
     def metrics(self) -> dict[str, float]:
         """Return the progress of the curriculum, under ``Curriculum/<name>``."""
