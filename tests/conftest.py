@@ -1,4 +1,4 @@
-"""What every test shares: headless rendering, few threads, a place for runs."""
+"""Shared by all tests: headless rendering, few threads, a place for runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a stranger installs is complete and agrees with the clone."""
+"""The installed package is complete and agrees with the clone."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def test_makes_a_film_and_a_filmstrip(checkpoint: Path, capsys: pytest.CaptureFi
     about, pictures = read(mp4)
     assert (about["size"], about["fps"]) == ((720, 540), 25.0)
     assert len(pictures) == 3 + round(HOLD * 25)  # the last one stays
-    assert pictures[0].std() > 20  # something is to be seen
+    assert pictures[0].std() > 20  # not a blank picture
     assert (np.abs(pictures[0] - pictures[3]).max(-1) > 20).mean() > 0.01  # and it moves
     assert np.abs(pictures[4] - pictures[-1]).mean() < 1
     with Image.open(strip) as picture:

@@ -42,7 +42,7 @@ FAILURES = {
     "out_of_reach": "walked away",
     "diverged": "physics failed",
 }
-"""What a failed episode ended by, in words."""
+"""Words for the ends of a failed episode."""
 
 SUMMARY = ("approach-unfixed", "mount-unfixed", "rolling", "low-friction", "far", "pushed")
 """Suites in the short table of the README: the free board, from easy to hard."""
@@ -104,7 +104,7 @@ def command(results: dict[str, Any]) -> str:
 
 
 def table(results: dict[str, Any]) -> str:
-    """Return a row for each suite in which a board is to be mounted."""
+    """Return a row for each suite whose task is to mount a board."""
     rows = [
         "| suite | success | 95 % interval | time to mount | feet on board | failures |",
         "|---|---|---|---|---|---|",

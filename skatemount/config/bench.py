@@ -9,15 +9,15 @@ from skatemount.utils.errors import ConfigError
 
 @dataclass
 class BenchConfig:
-    """What `python -m skatemount.bench` measures besides the settings at hand.
+    """Measurements of `python -m skatemount.bench`.
 
     Attributes:
-        worlds: Numbers of worlds to measure, one after the other; none if empty.
-        threads: Numbers of threads, of physics and of torch; none if empty.
-        rounds: How often every figure is taken, in turns; all of them count.
-        seconds: For each figure in a round, at least.
-        profile: Whether to measure which part of the code the time goes to.
-        start: Whether to measure how long the training command takes until its first iteration is done.
+        worlds: Numbers of worlds to measure, one after the other.
+        threads: Numbers of threads to measure, of physics and of torch alike.
+        rounds: Times that each figure is measured, in turns; all of them count.
+        seconds: Least duration of a measurement, s.
+        profile: Measure the share of time of each part of the code.
+        start: Measure the time from the training command to the end of its first iteration.
     """
 
     worlds: list[int]

@@ -17,7 +17,7 @@ def one_line(error: BaseException) -> str:
             line
             for line in lines
             if line
-            # What OmegaConf says before it fills in the value; it says so again with it.
+            # OmegaConf repeats this line with the value filled in.
             and "$VALUE" not in line
             and not line.startswith(
                 (

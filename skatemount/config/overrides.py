@@ -1,4 +1,4 @@
-"""What a user writes on a command line, brought into the form that Hydra takes, and checked before it is composed."""
+"""Overrides of a command line: brought into the form that Hydra takes, and checked before anything is composed."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ class Config(TaskConfig):
         stage: Name and initial policy of the stage.
         network: Sizes of the networks.
         algorithm: Hyper-parameters of PPO.
-        curriculum: Order in which start states are practised.
+        curriculum: Choice of the start states during the training.
         collector: Collection of rollouts.
         logger: Output of a run.
         seed: Seed of all random numbers.

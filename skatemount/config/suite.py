@@ -9,21 +9,21 @@ from skatemount.utils.errors import ConfigError
 
 @dataclass
 class SuiteConfig:
-    """A test, the same for every policy.
+    """A test that is the same for every policy.
 
-    It is a stage's task with changes; robot, observation and control rate are the policy's own. A result is quoted with
-    the suite's name and version, so whoever changes what is tested raises the version.
+    The task is that of a stage, with changes. Robot, observation and control rate are the policy's own. A result is
+    quoted with the suite's name and version, so a change of the test raises the version.
 
     Attributes:
-        name: Of the suite, as its file is called.
-        version: Raised whenever results can no longer be compared with earlier ones.
-        description: One line.
-        stage: The stage whose task it builds on.
+        name: Name of the suite, which is the name of its file.
+        version: Number that rises when results are no longer comparable with earlier ones.
+        description: One line about it.
+        stage: Stage whose task is used.
         overrides: Changes to that task, in Hydra's syntax.
-        variants: Further changes by name, where the suite is made of several tasks; episodes take them in turn.
-        members: Names of other suites, instead of a stage: each of them is run.
-        seed: What its worlds and start states are drawn from, along with the user's seed. Suites with the same seed
-            share both as far as their settings allow.
+        variants: Further changes by name, for a suite of several tasks; episodes take them in turn.
+        members: Names of other suites, in place of a stage; each of them is run.
+        seed: Seed of worlds and start states, together with the user's seed. Suites with the same seed share both as
+            far as their settings allow.
     """
 
     name: str = ""
@@ -36,7 +36,7 @@ class SuiteConfig:
     seed: int = 0
 
     def validate(self, where: str = "suite") -> None:
-        """Raise `ConfigError` for a suite that says what it cannot be."""
+        """Raise `ConfigError` for a suite that contradicts itself."""
         if not self.name:
             raise ConfigError(f"{where}.name='' must be the name of the suite's file")
         if self.version < 1:

@@ -60,7 +60,7 @@ def test_unknown_kind() -> None:
 
 
 def mirrored(start: StartState) -> StartState:
-    """What a mirror in the board's xz plane shows of a start."""
+    """Mirror image of a start in the board's xz plane."""
     joints = mirror_map("joints", 12)
     return dataclasses.replace(
         start,

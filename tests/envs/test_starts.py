@@ -49,7 +49,7 @@ class Reset:
 
 
 def gaps(task: MountTask, sim: Reset) -> Tensor:
-    """How far each sole is above deck or ground, whichever is under it, ``[N, 4]``."""
+    """Height of each sole above deck or ground, whichever is under it, ``[N, 4]``."""
     board = task.config.board
     foot = sim.sim.foot_pos
     over = (foot[..., 0].abs() < board.deck_length / 2) & (foot[..., 1].abs() < board.deck_width / 2)
@@ -231,7 +231,7 @@ def test_the_queue_hands_out_every_start_in_the_order_of_drawing() -> None:
     one_by_one = taken(*[1] * sum(some))
     assert len(one_by_one.unique(dim=0)) == len(one_by_one) > 3 * 16
     assert torch.equal(taken(*some), one_by_one)
-    # More than are drawn at a time are to be had, too.
+    # More than the queue draws at a time.
     assert torch.equal(taken(20), one_by_one[:20])
 
 

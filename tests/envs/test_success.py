@@ -48,7 +48,7 @@ def sim(standing_robot: SimState) -> SimState:
 
 
 def mounted(sim: SimState) -> bool:
-    """Whether the robot of this one state stands on the board, no foot having been off it."""
+    """True if the robot of this one state stands on the board, no foot having been off it."""
     off_time = torch.where(feet_on_deck(sim), 0.0, math.inf)
     return bool(is_mounted(sim, off_time, feet_off_deck_contact(sim).any(1)))
 

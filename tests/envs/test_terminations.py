@@ -1,4 +1,4 @@
-"""What ends an episode, on constructed states."""
+"""Terminations on constructed states."""
 
 from __future__ import annotations
 

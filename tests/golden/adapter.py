@@ -1,4 +1,4 @@
-"""How `dump.py` reaches into today's code. Arrays keep the names of commit 5ce7322, where `adapter_5ce7322.py` is."""
+"""The way of `dump.py` into today's code. Arrays keep the names of commit 5ce7322, where `adapter_5ce7322.py` is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the golden data covers. Everything is written as the user of commit 5ce7322 would have typed it."""
+"""Scope of the golden data. Everything is written as the user of commit 5ce7322 would have typed it."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ import pytest
 
 DATA = Path(__file__).parent / "data"
 TOLERANCE = 1e-5
-"""What another processor's rounding may change."""
+"""Largest difference that another processor's rounding may cause."""
 
 WRITERS = {"settings": dump.settings, "models": dump.models, "steps": dump.steps, "updates": dump.updates}
 

@@ -1,4 +1,4 @@
-"""What `python -m skatemount.bench` measures and writes; never how fast it is."""
+"""Figures and files of `python -m skatemount.bench`; never how fast it is."""
 
 from __future__ import annotations
 

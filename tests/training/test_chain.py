@@ -62,7 +62,7 @@ def weights(run: Path) -> dict[str, torch.Tensor]:
 
 
 def evaluated(success: float) -> SimpleNamespace:
-    """What an evaluation tells the training."""
+    """An evaluation with a given success rate."""
     return SimpleNamespace(metrics=lambda: {"Evaluation/success": success, "Evaluation/feet_on_board": 1.0})
 
 

@@ -26,7 +26,7 @@ def write_table(path: Path, count: int = 60) -> Path:
 
 
 def columns(path: Path, colour: str) -> np.ndarray:
-    """Which columns of the picture have pixels of a line's colour."""
+    """Columns of the picture that have pixels of a line's color."""
     pixels = (255 * imread(path)[:, :, :3]).round()
     wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
     return np.nonzero((pixels == wanted).all(-1).sum(0) > 0)[0]

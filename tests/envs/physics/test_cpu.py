@@ -19,7 +19,7 @@ SUBSTEPS = 4
 
 
 class Loop:
-    """What `CpuPhysics` is to equal: one `MjData` a world, each stepped by `mj_step` in a plain loop."""
+    """Reference of `CpuPhysics`: one `MjData` a world, each stepped by `mj_step` in a plain loop."""
 
     def __init__(self, physics: CpuPhysics):
         self.model, self.index = physics.model, physics.index

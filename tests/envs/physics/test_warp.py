@@ -38,7 +38,7 @@ TOLERANCES = {
     "body_force": 0.5,  # N
     "board_fixed": 0.0,
 }
-"""What 95 of 100 numbers differ by at most. The others are robots that fall: there a rounding error grows."""
+"""Largest difference of 95 of 100 numbers. The others are robots that fall: there a rounding error grows."""
 
 
 def engine(name: str, task: MountTask, worlds: int = WORLDS, device: str = "cpu") -> Physics:
