@@ -13,7 +13,7 @@ from skatemount.envs.config.board import SkateboardConfig
 from skatemount.envs.config.commands import CommandConfig
 from skatemount.envs.config.physics import PhysicsConfig
 from skatemount.envs.config.randomization import RandomizationConfig
-from skatemount.envs.config.robot import A1Config
+from skatemount.envs.config.robot import RobotConfig
 from skatemount.envs.config.starts import StartConfig
 from skatemount.losses.config import AlgorithmConfig
 from skatemount.models.config import NetworkConfig
@@ -28,7 +28,7 @@ def _part(name: str, changes: dict[str, Any]) -> Any:
     return dataclasses.replace(copy.deepcopy(getattr(_composed(), name)), **changes)
 
 
-def robot(**changes: Any) -> A1Config:
+def robot(**changes: Any) -> RobotConfig:
     """Return the settings of the A1."""
     return _part("robot", changes)
 

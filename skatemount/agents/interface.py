@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from skatemount.envs.entities.a1_links import LEGS, LINKS
+from skatemount.envs.robots.a1 import LEGS, LINKS
 from skatemount.envs.task import MountTask
 from skatemount.runs.checkpoint import PolicyCard
 from skatemount.utils.errors import ConfigError

@@ -1,10 +1,11 @@
 """Forward and inverse kinematics of the robot's legs, on batches.
 
-Legs are in the order FR, FL, RR, RL. Each is a hip rotation about x, then thigh and calf rotations about y:
+Legs are in the order of the robot's spec. Each is a hip rotation about x, then thigh and calf rotations about y:
 
     foot = hip + Rx(q0) ([0, side * thigh_y, 0] + Ry(q1) ([0, 0, -l1] + Ry(q2) [0, 0, -l2]))
 
-in the trunk frame, where side is -1 on the right and +1 on the left.
+in the trunk frame, where side is -1 on the right and +1 on the left. Further joints of a leg lie in the center of its
+foot and do not move it.
 """
 
 from __future__ import annotations
@@ -12,35 +13,42 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from skatemount.envs.entities.a1_links import LEGS, LegKinematics, leg_signs
+from skatemount.envs.robots.spec import RobotSpec
 
 
 class Legs:
-    """The kinematics of four legs.
+    """The kinematics of a robot's legs.
 
     Args:
+        spec: Numbers of the robot.
+
+    Attributes:
         kinematics: Lengths and offsets of one leg, m.
+        radius: Upper bound on the radii of thighs and calves, m.
     """
 
-    def __init__(self, kinematics: LegKinematics):
-        self.kinematics = kinematics
-        fronts, self._side = torch.tensor([leg_signs(leg) for leg in LEGS]).unbind(1)
-        hip = (fronts * kinematics.hip_x, self._side * kinematics.hip_y, torch.zeros(len(LEGS)))
+    def __init__(self, spec: RobotSpec):
+        kinematics = self.kinematics = spec.kinematics
+        self.radius = spec.leg_radius
+        self._shape = len(spec.legs), len(spec.legs[0].links)
+        fronts, self._side = torch.tensor([[leg.front, leg.left] for leg in spec.legs]).unbind(1)
+        hip = (fronts * kinematics.hip_x, self._side * kinematics.hip_y, torch.zeros(len(spec.legs)))
         self._hip = torch.stack(hip, 1)
+        self._further = torch.tensor([[link.default for link in leg.links[3:]] for leg in spec.legs])
 
     def points(self, joints: Tensor, along_thigh: Tensor, along_calf: Tensor) -> tuple[Tensor, Tensor]:
         """Compute points on the axes of thighs and calves in the trunk frame.
 
         Args:
-            joints: ``[..., 12]`` joint angles, rad.
+            joints: ``[..., J]`` joint angles, rad.
             along_thigh: ``[P]`` fractions of the thigh from the hip (0) to the knee (1).
             along_calf: ``[Q]`` fractions of the calf from the knee (0) to the foot's center (1).
 
         Returns:
-            ``[..., 4, P, 3]`` m on the thighs, and ``[..., 4, Q, 3]`` m on the calves.
+            ``[..., F, P, 3]`` m on the thighs, and ``[..., F, Q, 3]`` m on the calves.
         """
         k = self.kinematics
-        q0, q1, q2 = joints.unflatten(-1, (4, 3)).unsqueeze(-2).unbind(-1)
+        q0, q1, q2 = joints.unflatten(-1, self._shape)[..., :3].unsqueeze(-2).unbind(-1)
         c0, s0 = torch.cos(q0), torch.sin(q0)
         side = (self._side * k.thigh_y).unsqueeze(-1)
 
@@ -59,10 +67,10 @@ class Legs:
         """Compute the centers of the feet in the trunk frame (forward kinematics).
 
         Args:
-            joints: ``[..., 12]`` joint angles, rad.
+            joints: ``[..., J]`` joint angles, rad.
 
         Returns:
-            ``[..., 4, 3]`` m.
+            ``[..., F, 3]`` m.
         """
         end = torch.ones(1)
         return self.points(joints, end, end)[1].squeeze(-2)
@@ -70,13 +78,13 @@ class Legs:
     def joints(self, feet: Tensor) -> Tensor:
         """Compute the joint angles for given centers of the feet (inverse kinematics), with knees bent backward.
 
-        For a point out of reach, the leg is stretched toward it.
+        For a point out of reach, the leg is stretched toward it. Further joints have their default angles.
 
         Args:
-            feet: ``[..., 4, 3]`` in the trunk frame, m.
+            feet: ``[..., F, 3]`` in the trunk frame, m.
 
         Returns:
-            ``[..., 12]`` joint angles, rad.
+            ``[..., J]`` joint angles, rad.
         """
         k = self.kinematics
         x, y, z = (feet - self._hip).unbind(-1)
@@ -90,4 +98,6 @@ class Legs:
             k.calf_length * torch.sin(q2), k.thigh_length + k.calf_length * torch.cos(q2)
         )
         q0 = torch.atan2(torch.sin(q0), torch.cos(q0))
-        return torch.stack((q0, q1, q2), -1).flatten(-2)
+        main = torch.stack((q0, q1, q2), -1)
+        further = self._further.expand(*main.shape[:-1], -1)
+        return torch.cat((main, further), -1).flatten(-2)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs.config.randomization import RandomizationConfig
-from skatemount.envs.entities.a1 import scale_gains
+from skatemount.envs.entities.quadruped import scale_gains
 from skatemount.envs.sampling import uniform
 from skatemount.envs.scene import SceneIndex
 

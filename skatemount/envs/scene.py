@@ -15,9 +15,9 @@ from dm_control import mjcf
 
 from skatemount.envs.config.board import SkateboardConfig
 from skatemount.envs.config.physics import SolverConfig
-from skatemount.envs.config.robot import A1Config
-from skatemount.envs.entities.a1 import A1
+from skatemount.envs.config.robot import RobotConfig
 from skatemount.envs.entities.arena import MountArena
+from skatemount.envs.entities.quadruped import Quadruped
 from skatemount.envs.entities.skateboard import WELD_SOLIMP, WELD_SOLREF, Skateboard
 
 
@@ -25,20 +25,20 @@ class Scene:
     """The arena with the robot and the board in it.
 
     Args:
-        robot: Settings of the A1.
+        robot: Settings of the robot.
         board: Settings of the skateboard.
         solver: Time step and solver.
     """
 
     def __init__(
         self,
-        robot: A1Config,
+        robot: RobotConfig,
         board: SkateboardConfig,
         solver: SolverConfig,
     ):
         self.solver = solver
         self.arena = MountArena()
-        self.robot = A1(config=robot)
+        self.robot = Quadruped(config=robot)
         self.board = Skateboard(config=board)
         self.robot_frame = self.arena.add_free_entity(self.robot)
         self.board_frame = self.arena.add_free_entity(self.board)

@@ -18,8 +18,6 @@ from skatemount.envs.sampling import either_sign, uniform
 from skatemount.envs.terms import TaskContext
 from skatemount.utils.errors import ConfigError
 
-_CAPSULE_RADIUS = 0.02
-"""Upper bound on the radii of the thighs' and calves' capsules, m."""
 _ROUNDS = 40
 """Number of batches of candidates to draw before giving up."""
 
@@ -217,9 +215,9 @@ class StartSampler:
         return outer & ~inner
 
     def _inside(self, points: Tensor, ground: Tensor) -> Tensor:
-        over = (points[..., :2].abs() < self._board + _CAPSULE_RADIUS).all(-1)
+        over = (points[..., :2].abs() < self._board + self._legs.radius).all(-1)
         support = torch.where(over, self._context.deck_height, ground[:, None, None])
-        return points[..., 2] < support + _CAPSULE_RADIUS
+        return points[..., 2] < support + self._legs.radius
 
 
 def _select_rows(mask: Tensor, first: StartPoses, second: StartPoses) -> StartPoses:

@@ -87,7 +87,7 @@ class MountTask(composer.Task):
         """
         with device or torch.device("cpu"):
             context = TaskContext.of(self.scene, self.config.episode_length)
-            legs = Legs(self.scene.robot.kinematics)
+            legs = Legs(self.scene.robot.spec)
             return StartSampler(self.config.start, legs, context, self.scene.board.config, sample_poses)
 
     @property

@@ -66,7 +66,7 @@ class TaskContext:
         ranges = torch.as_tensor(robot.joint_range, dtype=torch.float32)
         middle, half = ranges.mean(1), (ranges[:, 1] - ranges[:, 0]) / 2
         default = torch.as_tensor(np.asarray(robot.default_pose), dtype=torch.float32)
-        feet = Legs(robot.kinematics).feet(default)
+        feet = Legs(robot.spec).feet(default)
         step = scene.solver.control_step
         return cls(
             control_step=step,

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from skatemount.envs.entities.a1_links import LEGS
+from skatemount.envs.robots.a1 import LEGS
 
 DECK, GROUND, AIR, FAILED = (46, 184, 114), (226, 230, 236), (110, 118, 130), (235, 104, 92)
 PANEL, TEXT = (24, 29, 37), (255, 255, 255)

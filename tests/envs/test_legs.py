@@ -8,19 +8,19 @@ import torch
 from dm_control import mjcf
 from torch import Tensor
 
-from skatemount.envs.entities.a1 import A1
+from skatemount.envs.entities.quadruped import Quadruped
 from skatemount.envs.legs import Legs
 
 VARIANTS = ("unitree", "isaac")
 
 
 @functools.cache
-def robot(variant: str) -> A1:
-    return A1(config=defaults.robot(variant=variant))
+def robot(variant: str) -> Quadruped:
+    return Quadruped(config=defaults.robot(variant=variant))
 
 
 def legs(variant: str = "unitree") -> Legs:
-    return Legs(robot(variant).kinematics)
+    return Legs(robot(variant).spec)
 
 
 def random_joints(n: int, seed: int = 0) -> Tensor:

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from skatemount.envs.entities.a1 import KD_INDEX, KP_INDEX
+from skatemount.envs.entities.quadruped import KD_INDEX, KP_INDEX
 from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.utils.errors import ConfigError

@@ -1,4 +1,4 @@
-"""Settings of the Unitree A1."""
+"""Settings of the robot."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from skatemount.envs.entities import a1_links as links
+from skatemount.envs.robots import ROBOTS, RobotSpec
 from skatemount.utils.errors import ConfigError
 
 
 @dataclass
-class A1Config:
+class RobotConfig:
     """Settings of the robot.
 
     Attributes:
-        variant: Table of links: ``unitree`` (12.453 kg, the published robot) or ``isaac`` (13.741 kg, the robot of the
-            paper's code).
+        variant: The robot, a key of `skatemount.envs.robots.ROBOTS`: ``unitree`` (the published A1, 12.453 kg) or
+            ``isaac`` (the A1 of the paper's code, 13.741 kg).
         kp: Position gain of every joint, N m/rad.
         kd: Velocity gain of every joint, N m s/rad.
         torque_limit: Largest torque T of a motor, N m.
@@ -51,6 +51,11 @@ class A1Config:
     armature: float
     foot_friction: float
 
+    @property
+    def spec(self) -> RobotSpec:
+        """Numbers and names of the robot."""
+        return ROBOTS[self.variant]
+
     def validate(self, where: str = "robot") -> None:
         """Check every setting.
 
@@ -60,8 +65,8 @@ class A1Config:
         Raises:
             ConfigError: A setting cannot be used.
         """
-        if self.variant not in links.VARIANTS:
-            known = ", ".join(links.VARIANTS)
+        if self.variant not in ROBOTS:
+            known = ", ".join(ROBOTS)
             raise ConfigError(f"{where}.variant={self.variant} must be one of {known}")
         for field in fields(self):
             value = getattr(self, field.name)
@@ -75,7 +80,7 @@ class A1Config:
         for name in scales + passive:
             if getattr(self, name) < 0:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be >= 0")
-        for name, link in (("hip_inward", "hip"), ("thigh", "thigh"), ("calf", "calf")):
-            low, high = links.JOINT_RANGES[link]
+        for i, name in enumerate(("hip_inward", "thigh", "calf")):
+            low, high = self.spec.stance_range(i)
             if not low <= getattr(self, name) <= high:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be from {low} to {high} rad")

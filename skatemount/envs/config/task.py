@@ -13,7 +13,7 @@ from skatemount.envs.config.board import SkateboardConfig
 from skatemount.envs.config.commands import CommandConfig
 from skatemount.envs.config.physics import PhysicsConfig
 from skatemount.envs.config.randomization import RandomizationConfig
-from skatemount.envs.config.robot import A1Config
+from skatemount.envs.config.robot import RobotConfig
 from skatemount.envs.config.starts import StartConfig
 from skatemount.envs.config.terms import ObservationTerm, RewardTerm, TerminationTerm
 from skatemount.utils.errors import ConfigError
@@ -88,7 +88,7 @@ class TaskConfig:
     Attributes:
         episode_length: Time limit of an episode, s.
         success: Success criterion: ``mount`` (be mounted at the end of the episode) or ``gait`` (follow the command).
-        robot: Settings of the A1.
+        robot: Settings of the robot.
         board: Settings of the skateboard.
         physics: Settings of time stepping, solver and engine.
         observation: Settings of the observations.
@@ -101,7 +101,7 @@ class TaskConfig:
 
     episode_length: float
     success: str
-    robot: A1Config
+    robot: RobotConfig
     board: SkateboardConfig
     physics: PhysicsConfig
     observation: ObservationConfig

@@ -9,7 +9,7 @@ from typing import Any
 
 from dm_control import mjcf
 
-from skatemount.envs.entities.a1_links import LEGS, LegKinematics, leg_signs
+from skatemount.envs.robots.spec import Leg, LegKinematics, RobotSpec
 
 _MATERIALS = {
     # name: (rgba, specular, shininess, reflectance)
@@ -26,6 +26,15 @@ _MATERIALS = {
 Point = tuple[float, float, float]
 
 
+def add_visuals(root: mjcf.RootElement, spec: RobotSpec) -> None:
+    """Add the looks of the A1 to its model."""
+    add_materials(root)
+    add_trunk_visuals(root.find("body", spec.trunk), spec)
+    for leg in spec.legs:
+        hip, thigh, calf = (root.find("body", link.name) for link in leg.links)
+        add_leg_visuals(hip, thigh, calf, leg, spec.kinematics)
+
+
 def add_materials(root: mjcf.RootElement) -> None:
     """Add the materials that the visual geoms refer to."""
     for name, (rgba, specular, shininess, reflectance) in _MATERIALS.items():
@@ -39,7 +48,7 @@ def add_materials(root: mjcf.RootElement) -> None:
         )
 
 
-def add_trunk_visuals(trunk: mjcf.Element, kin: LegKinematics) -> None:
+def add_trunk_visuals(trunk: mjcf.Element, spec: RobotSpec) -> None:
     """Add body shell, rails, head with cameras, tail, and the four hip motors to the trunk."""
     for side in (-1.0, 1.0):
         _disc(trunk, "shell", 0.054, (-0.135, side * 0.042, 0), (0.135, side * 0.042, 0))
@@ -67,16 +76,17 @@ def add_trunk_visuals(trunk: mjcf.Element, kin: LegKinematics) -> None:
     _rod(trunk, "shell", 0.034, (-0.222, -0.04, 0.006), (-0.222, 0.04, 0.006))
     _box(trunk, "orange", (-0.252, 0, 0.012), (0.006, 0.025, 0.004))
 
-    for leg in LEGS:
-        front, left = leg_signs(leg)
-        x, y = front * kin.hip_x, left * kin.hip_y
+    kin = spec.kinematics
+    for leg in spec.legs:
+        front = leg.front
+        x, y = front * kin.hip_x, leg.left * kin.hip_y
         _disc(trunk, "panel", 0.045, (x - front * 0.075, y, 0), (x - front * 0.03, y, 0))
         _disc(trunk, "silver", 0.041, (x - front * 0.03, y, 0), (x - front * 0.026, y, 0))
 
 
-def add_leg_visuals(hip: mjcf.Element, thigh: mjcf.Element, calf: mjcf.Element, leg: str, kin: LegKinematics) -> None:
+def add_leg_visuals(hip: mjcf.Element, thigh: mjcf.Element, calf: mjcf.Element, leg: Leg, kin: LegKinematics) -> None:
     """Add hip housing, thigh with the knee's motor, shank and rubber foot of one leg."""
-    front, s = leg_signs(leg)
+    front, s = leg.front, leg.left
     # Hip: the yoke on the roll axis and the thigh's motor across it.
     _disc(hip, "shell", 0.037, (-front * 0.026, 0, 0), (front * 0.038, 0, 0))
     _disc(hip, "silver", 0.027, (front * 0.038, 0, 0), (front * 0.042, 0, 0))

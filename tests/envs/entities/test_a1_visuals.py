@@ -8,15 +8,15 @@ import pytest
 from dm_control import mjcf
 
 from skatemount.config import compose
-from skatemount.envs.entities.a1 import A1
+from skatemount.envs.entities.quadruped import Quadruped
 
 
 @pytest.fixture(params=["a1", "a1_isaac"])
-def robot(request: pytest.FixtureRequest) -> A1:
-    return A1(config=compose(None, [f"robot={request.param}"]).robot)
+def robot(request: pytest.FixtureRequest) -> Quadruped:
+    return Quadruped(config=compose(None, [f"robot={request.param}"]).robot)
 
 
-def test_visuals_do_not_collide(robot: A1) -> None:
+def test_visuals_do_not_collide(robot: Quadruped) -> None:
     physics = mjcf.Physics.from_mjcf_model(robot.mjcf_model)
     model = physics.model.ptr
     solid = set(physics.bind(robot.foot_geoms).element_id)
@@ -27,7 +27,7 @@ def test_visuals_do_not_collide(robot: A1) -> None:
     assert (model.geom_contype[sorted(solid)] == 1).all()
 
 
-def test_every_link_can_be_seen_and_its_mass_is_its_inertials(robot: A1) -> None:
+def test_every_link_can_be_seen_and_its_mass_is_its_inertials(robot: Quadruped) -> None:
     physics = mjcf.Physics.from_mjcf_model(robot.mjcf_model)
     model = physics.model.ptr
     for body in robot.mjcf_model.find_all("body"):
@@ -37,7 +37,7 @@ def test_every_link_can_be_seen_and_its_mass_is_its_inertials(robot: A1) -> None
         assert drawn.any(), body.name
 
 
-def test_visuals_are_near_the_bodies_that_they_cover(robot: A1) -> None:
+def test_visuals_are_near_the_bodies_that_they_cover(robot: Quadruped) -> None:
     physics = mjcf.Physics.from_mjcf_model(robot.mjcf_model)
     model = physics.model.ptr
     visual = model.geom_contype == 0

@@ -11,9 +11,9 @@ from dm_control import composer, mjcf
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from skatemount.envs.config.robot import A1Config
-from skatemount.envs.entities.a1 import A1, KD_INDEX, KP_INDEX, scale_gains
-from skatemount.envs.entities.a1_links import LEGS, calf_inertial, leg_signs
+from skatemount.envs.config.robot import RobotConfig
+from skatemount.envs.entities.quadruped import KD_INDEX, KP_INDEX, Quadruped, scale_gains
+from skatemount.envs.robots.a1 import LEGS, calf_inertial, leg_signs
 from skatemount.utils.errors import ConfigError
 
 VARIANTS = ("unitree", "isaac")
@@ -22,20 +22,20 @@ TORQUE, SPEED = 33.5, 21.0
 
 @pytest.fixture(scope="module", params=VARIANTS)
 def robot(request):
-    return A1(defaults.robot(variant=request.param))
+    return Quadruped(defaults.robot(variant=request.param))
 
 
 @pytest.fixture(scope="module")
 def held():
     """An A1 whose trunk is held by the world, with its physics."""
-    entity = A1(defaults.robot())
+    entity = Quadruped(defaults.robot())
     return entity, mjcf.Physics.from_mjcf_model(entity.mjcf_model)
 
 
 @pytest.fixture(scope="module")
 def standing():
     """An A1 free to move on a floor, after two seconds at its default pose."""
-    entity, arena = A1(defaults.robot()), composer.Arena()
+    entity, arena = Quadruped(defaults.robot()), composer.Arena()
     arena.mjcf_model.worldbody.add("geom", name="floor", type="plane", size=(2, 2, 0.1), contype=0, conaffinity=1)
     frame = arena.add_free_entity(entity)
     physics = mjcf.Physics.from_mjcf_model(arena.mjcf_model)
@@ -67,7 +67,7 @@ def actuator_force(entity, physics, target, q, v):
 
 @pytest.mark.parametrize(("variant", "mass"), [("unitree", 12.453), ("isaac", 13.741)])
 def test_total_mass(variant, mass):
-    entity = A1(defaults.robot(variant=variant))
+    entity = Quadruped(defaults.robot(variant=variant))
     physics = mjcf.Physics.from_mjcf_model(entity.mjcf_model)
     assert physics.model.body_mass.sum() == pytest.approx(mass, abs=1e-9)
 
@@ -90,7 +90,7 @@ def test_robot_is_mirror_symmetric(robot):
 
 
 def test_hip_inertials_of_front_and_rear_are_reflections():
-    entity = A1(defaults.robot())
+    entity = Quadruped(defaults.robot())
     front, rear = (entity.mjcf_model.find("body", name).inertial for name in ("FR_hip", "RR_hip"))
     np.testing.assert_allclose(front.pos, [-0.003311, -0.000635, 3.1e-5])
     np.testing.assert_allclose(rear.pos, [0.003311, -0.000635, 3.1e-5])
@@ -252,7 +252,7 @@ def test_contact_bits_and_groups(robot):
 
 def test_foot_and_joint_settings_reach_the_model():
     config = defaults.robot(foot_friction=0.37, joint_friction=0.2, joint_damping=0.05, armature=0.02, torque_limit=20)
-    entity = A1(config)
+    entity = Quadruped(config)
     physics = mjcf.Physics.from_mjcf_model(entity.mjcf_model)
     np.testing.assert_allclose(physics.bind(entity.foot_geoms).friction[:, 0], 0.37)
     np.testing.assert_allclose(physics.model.dof_frictionloss, 0.2)
@@ -266,7 +266,7 @@ def test_foot_and_joint_settings_reach_the_model():
 @pytest.mark.parametrize("pitch", [-1.4, -0.7, 0.0, 0.7, 1.4])
 def test_shank_stays_above_the_ball_of_the_foot(calf, pitch):
     """Whatever the shank's pitch short of horizontal, the foot is the calf's lowest point."""
-    entity = A1(defaults.robot())
+    entity = Quadruped(defaults.robot())
     physics = mjcf.Physics.from_mjcf_model(entity.mjcf_model)
     with physics.reset_context():
         physics.bind(entity.joints).qpos = [0, pitch - calf, calf] * 4
@@ -299,7 +299,7 @@ def test_bad_settings_are_named(setting, value):
         config.validate()
     assert "\n" not in str(error.value)
     with pytest.raises(ConfigError):
-        A1(config)
+        Quadruped(config)
 
 
 @pytest.mark.parametrize(("name", "variant"), [("a1", "unitree"), ("a1_isaac", "isaac")])
@@ -308,7 +308,7 @@ def test_yaml_has_every_setting(name, variant):
     with initialize_config_dir(str(folder), version_base="1.3"):
         loaded = compose(name)
     values = OmegaConf.to_container(loaded)
-    assert set(values) == {field.name for field in fields(A1Config)}
+    assert set(values) == {field.name for field in fields(RobotConfig)}
     assert defaults.robot(**values) == defaults.robot(variant=variant)
 
 
