@@ -321,6 +321,8 @@ def reward_kind(attributes: Any, _: Any) -> str:
 
 
 def observation_kind(attributes: Any, _: Any) -> str:
-    """Return how many values a term has, and whether it has a mirror image."""
+    """Return how many values a term has with the A1, and whether it has a mirror image."""
+    from skatemount.envs.robots import A1, JointLayout
+
     mirror = "" if attributes.mirror is not None else ", no mirror image"
-    return f"{attributes.count({})} values{mirror}"
+    return f"{attributes.count(JointLayout.of(A1), {})} values{mirror}"

@@ -15,8 +15,12 @@ from skatemount.envs.config.physics import PhysicsConfig
 from skatemount.envs.config.randomization import RandomizationConfig
 from skatemount.envs.config.robot import RobotConfig
 from skatemount.envs.config.starts import StartConfig
+from skatemount.envs.robots import A1, JointLayout
 from skatemount.losses.config import AlgorithmConfig
 from skatemount.models.config import NetworkConfig
+
+LAYOUT = JointLayout.of(A1)
+"""Order of the A1's joints, feet and bodies."""
 
 
 @functools.cache

@@ -33,7 +33,7 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = compose("balance", ["network.actor=[8]", "network.critic=[8]"])
     task = MountTask(config=config)
     mdp = task.make_mdp(torch.Generator())
-    networks = ActorCritic(config.network, mdp.observation.size, mdp.privileged.size)
+    networks = ActorCritic(config.network, mdp.observation.size, mdp.privileged.size, mdp.context.layout.num_joints)
     path = tmp_path_factory.mktemp("policies") / "tiny.safetensors"
     save_policy(path, {MODULE: networks}, make_policy_card(config, task, frames=4242))
     return path

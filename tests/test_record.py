@@ -33,7 +33,7 @@ needs_opengl = pytest.mark.skipif(
 
 def make_networks(config: Config) -> ActorCritic:
     mdp = MountTask(config=config).make_mdp(torch.Generator())
-    return ActorCritic(config.network, mdp.observation.size, mdp.privileged.size)
+    return ActorCritic(config.network, mdp.observation.size, mdp.privileged.size, mdp.context.layout.num_joints)
 
 
 @pytest.fixture

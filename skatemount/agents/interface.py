@@ -7,12 +7,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from skatemount.envs.robots.a1 import LEGS, LINKS
 from skatemount.envs.task import MountTask
 from skatemount.runs.checkpoint import PolicyCard
 from skatemount.utils.errors import ConfigError
-
-JOINTS = tuple(f"{leg}_{link}" for leg in LEGS for link in LINKS)
 
 ObservationLayout = list[dict[str, Any]]
 """The terms of the observation in order, as `observation_layout` returns them."""
@@ -57,7 +54,7 @@ def action_interface(task: MountTask) -> dict[str, Any]:
     """
     robot = task.scene.robot
     return {
-        "joints": list(JOINTS),
+        "joints": list(robot.layout.joints),
         "default_pose": [round(float(x), 6) for x in robot.default_pose],
         "scale": [round(float(x), 6) for x in robot.action_scale],
         "clip": float(robot.config.action_clip),

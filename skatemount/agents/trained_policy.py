@@ -66,7 +66,10 @@ class TrainedPolicy:
             key: sum(part.get("size", 0) for part in card.observation if part.get("key") == key)
             for key in ("observation", "privileged")
         }
-        networks = ActorCritic(config.network, sizes["observation"], sizes["privileged"])
+        joints = card.action.get("joints")
+        if not joints:
+            raise ConfigError(f"{setting}={spec}: action.joints of its card must name the joints that its actions move")
+        networks = ActorCritic(config.network, sizes["observation"], sizes["privileged"], len(joints))
         load_weights(networks, modules, f"{setting}={spec}")
         return cls(networks, config, card, path)
 

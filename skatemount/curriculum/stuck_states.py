@@ -26,7 +26,7 @@ STUCK_AFTER = 2.0
 
 
 def half_mounted(sim: SimState, episode: EpisodeState) -> Tensor:
-    """Return the worlds in which one to three feet of an upright robot press on a level deck, ``[N]`` bool.
+    """Return the worlds in which some but not all feet of an upright robot press on a level deck, ``[N]`` bool.
 
     Args:
         sim: ``[N]`` states.
@@ -34,7 +34,7 @@ def half_mounted(sim: SimState, episode: EpisodeState) -> Tensor:
     """
     feet = episode.on_deck.sum(1)
     upright = -sim.gravity[:, 2] > math.cos(success.MAX_TRUNK_TILT)
-    return (feet > 0) & (feet < 4) & upright & (success.deck_level(sim) > math.cos(MAX_TILT))
+    return (feet > 0) & (feet < episode.on_deck.shape[1]) & upright & (success.deck_level(sim) > math.cos(MAX_TILT))
 
 
 def to_start_states(sim: SimState, deck_height: float) -> StartState:

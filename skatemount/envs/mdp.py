@@ -94,10 +94,10 @@ class Mdp:
         """Convert actions to joint position targets.
 
         Args:
-            action: ``[N, 12]``.
+            action: ``[N, J]``.
 
         Returns:
-            ``[N, 12]`` rad: default pose + scale x clipped action.
+            ``[N, J]`` rad: default pose + scale x clipped action.
         """
         return self.context.default_pose + self._scale * action.clamp(-self._action_clip, self._action_clip)
 
@@ -111,7 +111,7 @@ class Mdp:
         Returns:
             ``[N]`` episodes at their start.
         """
-        fresh = EpisodeState.zeros(sim.base_pos.shape[0], self.observation.size, self.device)
+        fresh = EpisodeState.zeros(sim.base_pos.shape[0], self.context.layout, self.observation.size, self.device)
         if bins is not None:
             fresh.bin = bins
         distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
@@ -137,7 +137,7 @@ class Mdp:
         Args:
             sim: The state after the step.
             episode: The episodes before the step; updated in place.
-            action: ``[N, 12]``, the actions of the step.
+            action: ``[N, J]``, the actions of the step.
             diverged: ``[N]`` bool, worlds whose physics failed.
 
         Returns:

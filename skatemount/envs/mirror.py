@@ -1,7 +1,8 @@
 """The left-right mirror image of observations and actions, as a permutation and signs.
 
 Robot and board are symmetric about the trunk's xz plane. Under y -> -y, polar vectors change the sign of y, axial
-vectors (angular velocities) change the signs of x and z, right legs become left legs, and hip angles change sign.
+vectors (angular velocities) change the signs of x and z, right legs become left legs, and angles about x or z change
+sign.
 """
 
 from __future__ import annotations
@@ -9,23 +10,25 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-_LEGS = torch.tensor([1, 0, 3, 2])
+from skatemount.envs.robots.layout import JointLayout
+
 _POLAR = torch.tensor([1.0, -1.0, 1.0])
 _AXIAL = -_POLAR
 
 
-def _legs(per_leg: int) -> Tensor:
-    return (_LEGS.unsqueeze(1) * per_leg + torch.arange(per_leg)).flatten()
+def _legs(layout: JointLayout, per_leg: int) -> Tensor:
+    return (torch.tensor(layout.mirror_legs).unsqueeze(1) * per_leg + torch.arange(per_leg)).flatten()
 
 
-def mirror_map(kind: str, size: int) -> tuple[Tensor, Tensor]:
+def mirror_map(kind: str, size: int, layout: JointLayout) -> tuple[Tensor, Tensor]:
     """Return the permutation and signs of one block: ``mirrored = x[:, permutation] * signs``.
 
     Args:
         kind: ``vector`` (polar vectors), ``axial``, ``vector_axial``, ``command`` (vx, vy, wz), ``joints``, ``feet``,
-            ``flags`` (one value per foot), ``flags_twice``, ``bodies`` (trunk, then hip, thigh and calf of each leg),
-            ``outline`` (points around the deck from the middle of its front), ``negative`` or ``scalars``.
+            ``flags`` (one value per foot), ``flags_twice``, ``bodies``, ``outline`` (points around the deck from the
+            middle of its front), ``negative`` or ``scalars``.
         size: Number of values in the block.
+        layout: Order of the robot's joints, feet and bodies.
 
     Returns:
         The permutation, ``[size]`` int64, and the signs, ``[size]`` float32.
@@ -43,15 +46,15 @@ def mirror_map(kind: str, size: int) -> tuple[Tensor, Tensor]:
     if kind == "command":
         return same, torch.tensor([1.0, -1.0, -1.0])
     if kind == "joints":
-        return _legs(3), torch.tensor([-1.0, 1.0, 1.0]).repeat(4)
+        return torch.tensor(layout.mirror_joints), torch.tensor(layout.joint_signs)
     if kind == "feet":
-        return _legs(3), _POLAR.repeat(4)
+        return _legs(layout, 3), _POLAR.repeat(layout.num_feet)
     if kind == "flags":
-        return _legs(1), ones
+        return _legs(layout, 1), ones
     if kind == "flags_twice":
-        return torch.cat((_legs(1), _legs(1) + 4)), ones
+        return torch.cat((_legs(layout, 1), _legs(layout, 1) + layout.num_feet)), ones
     if kind == "bodies":
-        return torch.cat((torch.zeros(1, dtype=torch.int64), _legs(3) + 1)), ones
+        return torch.tensor(layout.mirror_bodies), ones
     if kind == "outline":
         points = size // 3
         order = (-torch.arange(points)).remainder(points)

@@ -38,7 +38,7 @@ class MountEnv(EnvBase):
 
     - ``observation``, ``[N, D]``: the actor's observation.
     - ``privileged``, ``[N, P]``: the values that only the critic gets in addition.
-    - ``action``, ``[N, 12]``: joint position targets relative to the default pose, in units of the action scale,
+    - ``action``, ``[N, J]``: targets of the J joints relative to the default pose, in units of the action scale,
       clipped.
     - ``success``, ``[N, 1]``: true in the last step of an episode that succeeded.
     - ``reward``, ``done``, ``terminated`` and ``truncated``, ``[N, 1]``.
@@ -114,6 +114,7 @@ class MountEnv(EnvBase):
         return self._episode
 
     def _make_specs(self, n: int) -> None:
+        joints = self.mdp.context.layout.num_joints
         bound = self.task.scene.robot.config.action_clip
         self.observation_spec = Composite(
             observation=Unbounded((n, self.mdp.observation.size), device=self.device),
@@ -121,7 +122,7 @@ class MountEnv(EnvBase):
             success=self._flag(n),
             shape=(n,),
         )
-        self.action_spec = Bounded(-bound, bound, shape=(n, 12), dtype=torch.float32, device=self.device)
+        self.action_spec = Bounded(-bound, bound, shape=(n, joints), dtype=torch.float32, device=self.device)
         self.reward_spec = Unbounded((n, 1), device=self.device)
         flags = {key: self._flag(n) for key in ("done", "terminated", "truncated")}
         self.full_done_spec = Composite(**flags, shape=(n,))
@@ -138,7 +139,7 @@ class MountEnv(EnvBase):
         physics = self.physics
         self._randomizer = Randomizer(config.randomization, physics.index, physics.model, self.generator)
         self._randomizer.build_worlds(physics)
-        self._episode = EpisodeState.zeros(n, self.mdp.observation.size, self.device)
+        self._episode = EpisodeState.zeros(n, self.mdp.context.layout, self.mdp.observation.size, self.device)
         self._begun = False
         self.statistics.clear()
 
@@ -251,7 +252,7 @@ class MountEnv(EnvBase):
         """Simulate a control step.
 
         Args:
-            action: ``[N, 12]``.
+            action: ``[N, J]``.
 
         Returns:
             The result of the step, the observations after it by key, and ``[K]`` int64, the worlds whose physics

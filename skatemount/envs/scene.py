@@ -165,8 +165,8 @@ class SceneIndex:
 
     Attributes:
         sensors: Slice of the sensor array, and shape per world, by the name of the `SimState` field or of its source.
-        joint_qpos: Addresses of the 12 joints in ``qpos``.
-        joint_dof: Addresses of the 12 joints in ``qvel``.
+        joint_qpos: Addresses of the joints in ``qpos``.
+        joint_dof: Addresses of the joints in ``qvel``.
         actuators: Actuator ids in the order of the joints.
         base_qpos: Slice of the robot's free joint in ``qpos``.
         base_dof: Slice of the robot's free joint in ``qvel``.
@@ -219,10 +219,11 @@ class SceneIndex:
         sensors = {n: sensor(n) for n in ("base_pos", "base_lin_vel", "base_ang_vel")}
         sensors |= {n: sensor(n) for n in ("board_pos", "board_pos_base", "board_lin_vel", "board_ang_vel")}
         sensors |= {n: sensor(n, 3) for n in ("base_axes", "board_axes", "board_in_base_axes")}
-        sensors |= {n: sensor(n, 12) for n in ("joint_pos", "joint_vel", "joint_torque")}
+        sensors |= {n: sensor(n, len(scene.robot.joints)) for n in ("joint_pos", "joint_vel", "joint_torque")}
         feet = ("foot_pos", "foot_vel", "foot_pos_base", "foot_pos_board", "foot_vel_board")
-        sensors |= {n: sensor(n, 4) for n in (*feet, "foot_deck_force", "foot_force")}
-        sensors |= {"truck_angle": sensor("truck_angle", 2), "wheel_speed": sensor("wheel_speed", 4)}
+        sensors |= {n: sensor(n, len(scene.robot.feet)) for n in (*feet, "foot_deck_force", "foot_force")}
+        sensors |= {"truck_angle": sensor("truck_angle", len(scene.board.truck_joints))}
+        sensors |= {"wheel_speed": sensor("wheel_speed", len(scene.board.wheel_joints))}
         bodies = scene.robot.body_geoms
         assert all(len(geoms) == 1 for geoms in bodies.values()), "body_force has one contact sensor for each body"
         start = int(model.sensor(f"body_force_{next(iter(bodies))}_0").adr[0])

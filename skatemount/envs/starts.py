@@ -159,19 +159,19 @@ class StartSampler:
         quat = quat_from_euler(draw(c.roll), draw(c.pitch), yaw)
         level = torch.zeros_like(yaw)
         heading = quat_to_matrix(quat_from_euler(level, level, yaw))
-        nominal = self._nominal_feet.expand(n, 4, 3)
+        nominal = self._nominal_feet.expand(n, -1, -1)
         support = self._support(rotate(heading, nominal)[..., :2] + xy.unsqueeze(1), ground)
         trunk = support.mean(1) + context.stance_height
         feet = nominal.clone()
         feet[..., 2] = support + context.foot_radius - trunk.unsqueeze(1)
-        joints = self._legs.joints(feet) + draw(c.joint_pos, 12)
+        joints = self._legs.joints(feet) + draw(c.joint_pos, context.layout.num_joints)
         joints = joints.clamp(context.soft_limits[:, 0], context.soft_limits[:, 1])
 
         rotation = quat_to_matrix(quat)
         offset = torch.cat((xy, trunk.unsqueeze(1)), 1)
         thighs, calves = self._legs.points(joints, self._along, self._along)
         points = torch.cat((thighs, calves), -2).flatten(1, 2)
-        world = (rotate(rotation, points) + offset.unsqueeze(1)).unflatten(1, (4, -1))
+        world = (rotate(rotation, points) + offset.unsqueeze(1)).unflatten(1, (context.layout.num_feet, -1))
         foot = world[:, :, -1]
         gap = foot[..., 2] - context.foot_radius - self._support(foot[..., :2], ground)
         lift = -gap.amin(1) + draw(c.height)
@@ -186,7 +186,7 @@ class StartSampler:
             base_lin_vel=draw(c.lin_vel, 3),
             base_ang_vel=draw(c.ang_vel, 3),
             joint_pos=joints,
-            joint_vel=draw(c.joint_vel, 12),
+            joint_vel=draw(c.joint_vel, context.layout.num_joints),
             ground_height=ground,
             board_fixed=poses.board_fixed,
             board_speed=self._board_speed(poses.board_fixed, generator),

@@ -1,6 +1,7 @@
 """The inputs of all terms: `SimState`, the physical state, and `EpisodeState`, the history of the episode.
 
-Both are batches of N worlds. Joints and feet are in the order FR, FL, RR, RL x hip, thigh, calf. The board frame has
+Both are batches of N worlds. Their J joints, F feet and B bodies are in the order of the robot's
+`JointLayout`. The board frame has
 its origin at the center of the deck's top, x forward and z up.
 """
 
@@ -12,6 +13,7 @@ import torch
 from tensordict import tensorclass
 from torch import Tensor
 
+from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.scene import SceneIndex
 
 
@@ -29,20 +31,20 @@ class SimState:
         base_lin_vel: ``[N, 3]`` trunk frame, m/s.
         base_ang_vel: ``[N, 3]`` trunk frame, rad/s.
         gravity: ``[N, 3]`` direction of gravity in the trunk frame, unit length; upright is (0, 0, -1).
-        joint_pos: ``[N, 12]`` rad.
-        joint_vel: ``[N, 12]`` rad/s.
-        joint_acc: ``[N, 12]`` rad/s^2.
-        joint_torque: ``[N, 12]`` N m, after the motor's limits.
-        foot_pos: ``[N, 4, 3]`` foot centers, world, m.
-        foot_vel: ``[N, 4, 3]`` world, m/s.
-        foot_pos_base: ``[N, 4, 3]`` foot centers in the trunk frame, m.
-        foot_pos_board: ``[N, 4, 3]`` foot centers in the board frame, m.
-        foot_vel_board: ``[N, 4, 3]`` relative to the board, board frame, m/s.
-        foot_deck_force: ``[N, 4, 3]`` contact force between foot and deck, world axes, N.
-        foot_other_force: ``[N, 4, 3]`` contact force between foot and anything other than the deck (ground, wheels),
+        joint_pos: ``[N, J]`` rad.
+        joint_vel: ``[N, J]`` rad/s.
+        joint_acc: ``[N, J]`` rad/s^2.
+        joint_torque: ``[N, J]`` N m, after the motor's limits.
+        foot_pos: ``[N, F, 3]`` foot centers, world, m.
+        foot_vel: ``[N, F, 3]`` world, m/s.
+        foot_pos_base: ``[N, F, 3]`` foot centers in the trunk frame, m.
+        foot_pos_board: ``[N, F, 3]`` foot centers in the board frame, m.
+        foot_vel_board: ``[N, F, 3]`` relative to the board, board frame, m/s.
+        foot_deck_force: ``[N, F, 3]`` contact force between foot and deck, world axes, N.
+        foot_other_force: ``[N, F, 3]`` contact force between foot and anything other than the deck (ground, wheels),
             world axes, N.
-        body_force: ``[N, 13]`` norm of the contact force on each other robot body (trunk, then hip, thigh and calf of
-            each leg), N.
+        body_force: ``[N, B]`` norm of the contact force on each other robot body (the trunk
+            first), N.
         board_pos: ``[N, 3]`` deck center, world, m.
         board_rot: ``[N, 3, 3]`` board axes in the world (columns).
         board_lin_vel: ``[N, 3]`` world, m/s.
@@ -104,7 +106,7 @@ class StateReader:
 
         Args:
             sensordata: ``[N, S]`` float32.
-            joint_acc: ``[N, 12]`` rad/s^2.
+            joint_acc: ``[N, J]`` rad/s^2.
             ground_height: ``[N]`` m.
             board_fixed: ``[N]`` bool.
 
@@ -141,17 +143,17 @@ class EpisodeState:
 
     Attributes:
         step: ``[N]`` int64, control steps since the start.
-        action: ``[N, 12]`` clipped action of the last step.
-        previous_action: ``[N, 12]`` clipped action of the step before it.
+        action: ``[N, J]`` clipped action of the last step.
+        previous_action: ``[N, J]`` clipped action of the step before it.
         command: ``[N, 3]`` velocity command: forward, left (m/s) and turn left (rad/s), trunk frame.
         command_steps: ``[N]`` int64, control steps until the next command is sampled.
         command_error: ``[N, 2]`` sum over steps of the errors of the horizontal velocity (m/s) and of the turning rate
             (rad/s).
-        on_deck: ``[N, 4]`` bool, the foot presses on the deck from above.
-        off_time: ``[N, 4]`` time since the foot last pressed on the deck, s.
+        on_deck: ``[N, F]`` bool, the foot presses on the deck from above.
+        off_time: ``[N, F]`` time since the foot last pressed on the deck, s.
         foot_off_deck_contact: ``[N]`` bool, a foot presses on anything other than the deck.
-        touchdown: ``[N, 4]`` bool, the foot began to touch something in this step.
-        touching: ``[N, 4]`` bool, the foot touches something.
+        touchdown: ``[N, F]`` bool, the foot began to touch something in this step.
+        touching: ``[N, F]`` bool, the foot touches something.
         soft_success: ``[N]`` from 0 to 1, the fraction of feet near the deck
             (`skatemount.envs.success.nearly_mounted`), averaged over about the last third of a second. Unlike success,
             it is not hidden by exploration noise.
@@ -192,31 +194,34 @@ class EpisodeState:
     observation: Tensor
 
     @classmethod
-    def zeros(cls, num_worlds: int, observation_size: int = 0, device: torch.device | None = None) -> EpisodeState:
+    def zeros(
+        cls, num_worlds: int, layout: JointLayout, observation_size: int = 0, device: torch.device | None = None
+    ) -> EpisodeState:
         """Create episodes without any history.
 
         Args:
             num_worlds: Number of worlds, N.
+            layout: Numbers of joints and feet.
             observation_size: Number of values in the policy's observation, O.
             device: Device of the tensors.
 
         Returns:
             ``[N]`` episodes.
         """
-        n = num_worlds
+        n, joints, feet = num_worlds, layout.num_joints, layout.num_feet
         f, full = partial(torch.zeros, device=device), partial(torch.full, device=device)
         return cls(
             step=f(n, dtype=torch.int64),
-            action=f(n, 12),
-            previous_action=f(n, 12),
+            action=f(n, joints),
+            previous_action=f(n, joints),
             command=f(n, 3),
             command_steps=f(n, dtype=torch.int64),
             command_error=f(n, 2),
-            on_deck=f(n, 4, dtype=torch.bool),
+            on_deck=f(n, feet, dtype=torch.bool),
             foot_off_deck_contact=f(n, dtype=torch.bool),
-            off_time=full((n, 4), torch.inf),
-            touchdown=f(n, 4, dtype=torch.bool),
-            touching=f(n, 4, dtype=torch.bool),
+            off_time=full((n, feet), torch.inf),
+            touchdown=f(n, feet, dtype=torch.bool),
+            touching=f(n, feet, dtype=torch.bool),
             soft_success=f(n),
             mounted=f(n, dtype=torch.bool),
             mounted_time=f(n),

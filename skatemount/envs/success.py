@@ -32,19 +32,19 @@ def feet_on_deck(sim: SimState) -> Tensor:
         sim: The state.
 
     Returns:
-        ``[N, 4]`` bool.
+        ``[N, F]`` bool.
     """
     force = torch.linalg.vector_norm(sim.foot_deck_force, dim=-1)
     return (force > PRESS) & (sim.foot_pos_board[..., 2] > 0.0)
 
 
 def feet_off_deck_contact(sim: SimState) -> Tensor:
-    """Find the feet that press on anything other than the deck, ``[N, 4]`` bool."""
+    """Find the feet that press on anything other than the deck, ``[N, F]`` bool."""
     return torch.linalg.vector_norm(sim.foot_other_force, dim=-1) > PRESS
 
 
 def body_contacts(sim: SimState) -> Tensor:
-    """Find the robot bodies other than the feet that touch board or ground, ``[N, 13]`` bool."""
+    """Find the robot bodies other than the feet that touch board or ground, ``[N, B]`` bool."""
     return sim.body_force > PRESS
 
 
@@ -62,7 +62,7 @@ def is_mounted(sim: SimState, off_time: Tensor, off_deck_contact: Tensor) -> Ten
 
     Args:
         sim: The state.
-        off_time: ``[N, 4]`` time since each foot last pressed on the deck, s.
+        off_time: ``[N, F]`` time since each foot last pressed on the deck, s.
         off_deck_contact: ``[N]`` bool, true where a foot presses on anything other than the deck.
 
     Returns:

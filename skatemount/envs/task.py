@@ -56,7 +56,7 @@ class MountTask(composer.Task):
         self._generator = torch.Generator().manual_seed(0)
         self._mdp = self.make_mdp(self._generator)
         self._sampler = self.make_sampler()
-        self._episode = EpisodeState.zeros(1, self._mdp.observation.size)
+        self._episode = EpisodeState.zeros(1, self._mdp.context.layout, self._mdp.observation.size)
         self._outcome: StepResult | None = None
         self._sim: SimState | None = None
         self._pushes: Pushes | None = None
@@ -116,12 +116,14 @@ class MountTask(composer.Task):
         return self._outcome
 
     def action_spec(self, physics: Any) -> dm_env.specs.BoundedArray:
-        """Return the spec of an action, ``[12]``.
+        """Return the spec of an action, ``[J]``.
 
         Actions are joint position targets relative to the default pose, in units of the action scale.
         """
         bound = self.scene.robot.config.action_clip
-        return dm_env.specs.BoundedArray((12,), np.float32, -bound, bound, name="action")
+        return dm_env.specs.BoundedArray(
+            (self._mdp.context.layout.num_joints,), np.float32, -bound, bound, name="action"
+        )
 
     def after_compile(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Look up the ids of the compiled scene, and copy its nominal values."""
@@ -170,7 +172,7 @@ class MountTask(composer.Task):
             physics.forward()
         if self._pushes is not None and self._pushes.active:
             self._push(physics, *self._pushes.due())
-        self._action = torch.as_tensor(np.asarray(action), dtype=torch.float32).reshape(1, 12)
+        self._action = torch.as_tensor(np.asarray(action), dtype=torch.float32).reshape(1, -1)
         physics.data.ctrl[self._index.actuators] = self._mdp.targets(self._action)[0]
 
     def _push(self, physics: Any, due: Tensor, velocity: Tensor) -> None:

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs.legs import Legs
+from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.scene import Scene
 from skatemount.envs.state import SimState
 from skatemount.utils.errors import ConfigError
@@ -33,8 +34,9 @@ class TaskContext:
 
     Attributes:
         control_step: Seconds between two actions.
-        default_pose: ``[12]`` joint angles of the stance, rad.
-        soft_limits: ``[12, 2]`` lower and upper bound of the middle 90 % of the joint ranges, rad.
+        layout: Order of the joints, feet and bodies, and how many of them there are.
+        default_pose: ``[J]`` joint angles of the stance, rad.
+        soft_limits: ``[J, 2]`` lower and upper bound of the middle 90 % of the joint ranges, rad.
         deck_half: Half length and half width of the deck, m.
         deck_height: Height of the deck's top above the board's floor at rest, m.
         foot_radius: Radius of a foot, m.
@@ -43,6 +45,7 @@ class TaskContext:
     """
 
     control_step: float
+    layout: JointLayout
     default_pose: Tensor
     soft_limits: Tensor
     deck_half: tuple[float, float]
@@ -70,6 +73,7 @@ class TaskContext:
         step = scene.solver.control_step
         return cls(
             control_step=step,
+            layout=robot.layout,
             default_pose=default,
             soft_limits=torch.stack((middle - 0.9 * half, middle + 0.9 * half), 1),
             deck_half=(board.deck_length / 2, board.deck_width / 2),

@@ -65,7 +65,7 @@ class EpisodeRecords:
 
 
 def sliding(sim: SimState, on_deck: Tensor) -> Tensor:
-    """Return the feet that slide on the deck, ``[N, 4]`` bool.
+    """Return the feet that slide on the deck, ``[N, F]`` bool.
 
     A foot slides if it presses on the deck and its center moves along the deck's plane, relative to the board, faster
     than 0.25 m/s. A *slip* is a control step in which a foot slides and did not slide in the step before. One long
@@ -73,7 +73,7 @@ def sliding(sim: SimState, on_deck: Tensor) -> Tensor:
 
     Args:
         sim: The state.
-        on_deck: ``[N, 4]`` bool, feet that press on the deck.
+        on_deck: ``[N, F]`` bool, feet that press on the deck.
     """
     return on_deck & (torch.linalg.vector_norm(sim.foot_vel_board[..., :2], dim=-1) > SLIP_SPEED)
 
@@ -109,7 +109,7 @@ class EpisodeTracker:
         self._board = env.sim.board_pos[:, :2].clone()
         self._start, self._fixed = env.episode.start.clone(), env.sim.board_fixed.clone()
         with self._board.device:
-            self._sliding = torch.zeros(n, 4, dtype=torch.bool)
+            self._sliding = torch.zeros(n, env.mdp.context.layout.num_feet, dtype=torch.bool)
             self._end, self._duration = torch.full((n,), -1), torch.zeros(n)
             self._success, self._mount_time = torch.zeros(n, dtype=torch.bool), torch.full((n,), torch.nan)
             self._feet, self._displacement = torch.zeros(n), torch.zeros(n)

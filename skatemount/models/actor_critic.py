@@ -89,7 +89,7 @@ class ActorCritic(nn.Module):
         config: NetworkConfig,
         observation: int,
         privileged: int,
-        actions: int = 12,
+        actions: int,
         reflections: tuple[Reflection, Reflection, Reflection] | None = None,
     ):
         super().__init__()

@@ -10,8 +10,6 @@ from functools import lru_cache
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from skatemount.envs.robots.a1 import LEGS
-
 DECK, GROUND, AIR, FAILED = (46, 184, 114), (226, 230, 236), (110, 118, 130), (235, 104, 92)
 PANEL, TEXT = (24, 29, 37), (255, 255, 255)
 
@@ -22,6 +20,7 @@ class Frame:
 
     Attributes:
         time: Seconds since the start of the episode.
+        legs: Short names of the legs.
         on_deck: The feet that success counts as on the deck.
         touching: The feet that touch the deck or anything else.
         mounted: Whether the robot stands on the board, as success defines it.
@@ -32,6 +31,7 @@ class Frame:
     """
 
     time: float
+    legs: Sequence[str]
     on_deck: Sequence[bool]
     touching: Sequence[bool]
     mounted: bool
@@ -75,14 +75,17 @@ def draw_overlay(picture: Image.Image, frame: Frame) -> Image.Image:
 
 
 @lru_cache(maxsize=64)
-def _panel(key: tuple[str, tuple[str, ...], str], size: int) -> Image.Image:
-    time, states, word = key
+def _panel(key: tuple[str, tuple[str, ...], tuple[str, ...], str], size: int) -> Image.Image:
+    time, legs, states, word = key
     font, bold = _font(size), _font(round(size * 0.88))
     pad, gap = round(size * 0.5), round(size * 0.38)
     pill_w, row_h = round(size * 1.95), round(size * 1.5)
     time_w = round(font.getlength("00.00 s")) + 2 * gap
     word_w = round(bold.getlength(word)) + 2 * pad if word else 0
-    width, height = pad * 2 + time_w + 4 * pill_w + 3 * gap + (gap + word_w if word else 0), row_h + 2 * pad
+    width, height = (
+        pad * 2 + time_w + len(legs) * pill_w + (len(legs) - 1) * gap + (gap + word_w if word else 0),
+        row_h + 2 * pad,
+    )
     # Drawn twice as large and shrunk: Pillow does not smooth the edges of shapes.
     panel = Image.new("RGBA", (width * 2, height * 2), (0, 0, 0, 0))
     draw = ImageDraw.Draw(panel)
@@ -96,7 +99,7 @@ def _panel(key: tuple[str, tuple[str, ...], str], size: int) -> Image.Image:
 
     draw.text((pad * 2 + 4, height), time, font=_font(size * 2), fill=TEXT, anchor="lm")
     x = pad + time_w
-    for leg, state in zip(LEGS, states, strict=True):
+    for leg, state in zip(legs, states, strict=True):
         if state == "start":
             pill(x, pill_w, leg, GROUND, outline=(*AIR, 255), width=max(1, size // 8))
         elif state == "deck":
@@ -117,7 +120,7 @@ def _contacts(frame: Frame, size: int) -> Image.Image:
         "start" if frame.time == 0 else "deck" if deck else "ground" if touch else "air"
         for deck, touch in zip(frame.on_deck, frame.touching, strict=True)
     )
-    return _panel((f"{frame.time:.2f} s", states, frame.word), size)
+    return _panel((f"{frame.time:.2f} s", tuple(frame.legs), states, frame.word), size)
 
 
 def _outcome(frame: Frame, size: int, height: int, room: int) -> Image.Image:

@@ -88,13 +88,16 @@ class _Tape:
             row: Of the worlds that were kept.
             duration: Of the episode, s.
         """
-        step = self._env.mdp.context.control_step
+        context = self._env.mdp.context
+        step, legs = context.control_step, context.layout.legs
+        feet = len(legs)
         return [
             Frame(
                 time=i * step,
-                on_deck=contacts[row, :4].tolist(),
-                touching=contacts[row, 4:8].tolist(),
-                mounted=bool(contacts[row, 8]),
+                legs=legs,
+                on_deck=contacts[row, :feet].tolist(),
+                touching=contacts[row, feet : 2 * feet].tolist(),
+                mounted=bool(contacts[row, 2 * feet]),
                 qpos=qpos[row],
                 mocap_pos=mocap_pos[row],
             )

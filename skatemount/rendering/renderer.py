@@ -29,7 +29,7 @@ class EpisodeRenderer:
 
     Args:
         model: The scene with everything that is visible; stays unchanged.
-        feet: Geom ids of the four feet; they are painted green while they are on the deck.
+        feet: Geom ids of the feet; they are painted green while they are on the deck.
         width: Pixels.
         height: Pixels.
 

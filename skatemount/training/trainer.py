@@ -14,7 +14,6 @@ from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 
 from skatemount import config as configuration
-from skatemount.agents.interface import JOINTS
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
 from skatemount.agents.transfer import load_pretrained
 from skatemount.config import Config
@@ -49,12 +48,12 @@ def set_up_process(config: Config) -> None:
 
 def make_networks(config: Config, mdp: Mdp) -> ActorCritic:
     """Return untrained networks for the observations and actions of a task."""
-    observation, privileged = mdp.observation, mdp.privileged
+    observation, privileged, layout = mdp.observation, mdp.privileged, mdp.context.layout
     reflections = None
     if config.network.symmetric:
-        images = observation.mirror(), privileged.mirror(), mirror_map("joints", len(JOINTS))
+        images = observation.mirror(), privileged.mirror(), mirror_map("joints", layout.num_joints, layout)
         reflections = Reflection(*images[0]), Reflection(*images[1]), Reflection(*images[2])
-    return ActorCritic(config.network, observation.size, privileged.size, len(JOINTS), reflections)
+    return ActorCritic(config.network, observation.size, privileged.size, layout.num_joints, reflections)
 
 
 class Trainer:

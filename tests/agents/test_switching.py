@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         task = MountTask(config=config)
         mdp = task.make_mdp(torch.Generator())
         torch.manual_seed(seed)
-        networks = ActorCritic(config.network, mdp.observation.size, mdp.privileged.size)
+        networks = ActorCritic(config.network, mdp.observation.size, mdp.privileged.size, mdp.context.layout.num_joints)
         save_policy(folder / f"{name}.safetensors", {MODULE: networks}, make_policy_card(config, task, seed))
     return folder
 

@@ -20,7 +20,7 @@ TINY = ["network.actor=[8]", "network.critic=[6]", "physics.threads=1"]
 
 def make_networks(config: Config) -> ActorCritic:
     mdp = MountTask(config=config).make_mdp(torch.Generator())
-    return ActorCritic(config.network, mdp.observation.size, mdp.privileged.size)
+    return ActorCritic(config.network, mdp.observation.size, mdp.privileged.size, mdp.context.layout.num_joints)
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ def curriculum(**settings: object) -> AutoCurriculum:
 def finish(auto: AutoCurriculum, bins: torch.Tensor, good: bool) -> None:
     """End one episode of each of these bins."""
     n = len(bins)
-    episode = EpisodeState.zeros(n)
+    episode = EpisodeState.zeros(n, defaults.LAYOUT)
     episode.bin = bins
     episode.soft_success = torch.full((n,), 1.0 if good else 0.0)
     flags = torch.ones(n, dtype=torch.bool)

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import defaults
 import numpy as np
 import pytest
 import torch
@@ -77,7 +78,7 @@ def _state(
 
 def _episode(sim: SimState | None = None, **fields: Any) -> EpisodeState:
     """One episode that has just begun but for what `fields` says; with `sim`, at its distance from the board."""
-    episode = EpisodeState.zeros(1)
+    episode = EpisodeState.zeros(1, defaults.LAYOUT)
     if sim is not None:
         distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
         episode.distance = episode.previous_distance = distance
@@ -106,6 +107,7 @@ def context() -> TaskContext:
     limits = torch.tensor([[-0.7, 0.7], [-0.8, 3.9], [-2.6, -1.0]]).repeat(4, 1)
     return TaskContext(
         control_step=0.04,
+        layout=defaults.LAYOUT,
         default_pose=torch.tensor(STANCE),
         soft_limits=limits,
         deck_half=(0.2875, 0.125),

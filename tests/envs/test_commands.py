@@ -58,7 +58,7 @@ def test_which_end_to_turn_to(turn_to: str, turn: float, make_state: MakeState, 
 
 def test_modes(make_state: MakeState) -> None:
     sim = make_state(base=(-1.0, 0.0, 0.3))
-    episode = EpisodeState.zeros(1)
+    episode = EpisodeState.zeros(1, defaults.LAYOUT)
     commander(mode="zero").update(sim, episode)
     assert episode.command.tolist() == [[0, 0, 0]]
     commander(mode="board").update(sim, episode)
@@ -69,7 +69,7 @@ RANGES = dict(forward=[-0.4, 1.0], left=[0.1, 0.3], turn=[-0.5, 0.7])
 
 
 def sampled(n: int, **settings: object) -> torch.Tensor:
-    episode = EpisodeState.zeros(n)
+    episode = EpisodeState.zeros(n, defaults.LAYOUT)
     commander(mode="sampled", **settings).update(None, episode)
     return episode.command
 
@@ -101,7 +101,7 @@ def test_standing_share() -> None:
 def test_commands_are_drawn_again_after_the_period() -> None:
     """Each world counts its own time, and in between nothing changes."""
     one = commander(mode="sampled", standing=0.0, deadband=0.0, resample=0.2)  # 5 control steps
-    episode = EpisodeState.zeros(3)
+    episode = EpisodeState.zeros(3, defaults.LAYOUT)
     episode.command_steps = torch.tensor([0, 2, 4])
     seen = []
     for _ in range(12):
@@ -114,7 +114,7 @@ def test_commands_are_drawn_again_after_the_period() -> None:
 
 def test_same_seed_same_commands() -> None:
     def draw(seed: int) -> torch.Tensor:
-        episode = EpisodeState.zeros(8)
+        episode = EpisodeState.zeros(8, defaults.LAYOUT)
         commander(torch.Generator().manual_seed(seed), mode="sampled").update(None, episode)
         return episode.command
 

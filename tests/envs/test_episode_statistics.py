@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import defaults
 import pytest
 import torch
 
@@ -34,7 +35,7 @@ def add(to: EpisodeStatistics, step: int, terms: list[list[float]], **given: Any
     def flag(name: str) -> torch.Tensor:
         return torch.tensor(given.get(name, [False] * n))
 
-    episode = EpisodeState.zeros(n)
+    episode = EpisodeState.zeros(n, defaults.LAYOUT)
     episode.step = torch.full((n,), step)
     episode.on_deck = torch.arange(4) < torch.tensor(given.get("feet", [0] * n)).unsqueeze(1)
     episode.first_contact = torch.full((n,), 0.2)

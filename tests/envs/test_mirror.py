@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import defaults
 import pytest
 import torch
 from torch import Tensor
@@ -30,7 +31,7 @@ def apply(mirror: tuple[Tensor, Tensor], values: Tensor) -> Tensor:
 
 
 def test_actions_mirrored_twice_are_the_same() -> None:
-    mirror = mirror_map("joints", 12)
+    mirror = mirror_map("joints", 12, defaults.LAYOUT)
     action = torch.arange(1.0, 13.0)
     assert torch.equal(apply(mirror, apply(mirror, action)), action)
     # The front right leg takes the front left one's, with the hip's sign changed.
@@ -56,12 +57,12 @@ def test_observations_mirrored_twice_are_the_same(name: str, part: str, context:
 
 def test_unknown_kind() -> None:
     with pytest.raises(ValueError, match="'sideways'"):
-        mirror_map("sideways", 3)
+        mirror_map("sideways", 3, defaults.LAYOUT)
 
 
 def mirrored(start: StartState) -> StartState:
     """Mirror image of a start in the board's xz plane."""
-    joints = mirror_map("joints", 12)
+    joints = mirror_map("joints", 12, defaults.LAYOUT)
     return dataclasses.replace(
         start,
         base_pos=start.base_pos * Y,
@@ -118,7 +119,7 @@ def test_mirrored_worlds_stay_mirrored(fixed: bool, where: list[str]) -> None:
     everything = ObservationTable(all_terms(), mdp.context)
     rewards = RewardTable({name: RewardTerm(weight=1.0) for name in REWARDS.names()}, mdp.context)
     tables = {"policy": mdp.observation, "privileged": mdp.privileged, "all": everything}
-    joints = mirror_map("joints", 12)
+    joints = mirror_map("joints", 12, defaults.LAYOUT)
     touched = torch.zeros(4, dtype=torch.bool)
     for step in range(8):
         for name, table in tables.items():

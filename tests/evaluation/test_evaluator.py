@@ -26,7 +26,7 @@ def make_networks(config: Config) -> ActorCritic:
     mdp = MountTask(config=config).make_mdp(torch.Generator())
     torch.manual_seed(0)
     sizes = mdp.observation.size, mdp.privileged.size
-    return ActorCritic(defaults.network(actor=[8], critic=[8]), *sizes)
+    return ActorCritic(defaults.network(actor=[8], critic=[8]), *sizes, 12)
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import defaults
 import pytest
 import torch
 from torch import Tensor
@@ -36,8 +37,10 @@ class Script:
     num_worlds = 2
 
     def __init__(self) -> None:
-        self.mdp = SimpleNamespace(context=SimpleNamespace(control_step=STEP, episode_steps=STEPS))
-        self.episode, self.sim = EpisodeState.zeros(2), sim([0.0] * 4)
+        self.mdp = SimpleNamespace(
+            context=SimpleNamespace(control_step=STEP, episode_steps=STEPS, layout=defaults.LAYOUT)
+        )
+        self.episode, self.sim = EpisodeState.zeros(2, defaults.LAYOUT), sim([0.0] * 4)
         self.episode.start = torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
         self.tracker = EpisodeTracker(self)  # type: ignore[arg-type]
         self.tracker.begin()

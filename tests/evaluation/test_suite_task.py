@@ -121,7 +121,7 @@ def test_mistakes_are_one_line(policy: Config, override: str, said: str) -> None
 def path(policy: Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
     task = MountTask(config=policy)
     mdp = task.make_mdp(torch.Generator())
-    networks = ActorCritic(policy.network, mdp.observation.size, mdp.privileged.size)
+    networks = ActorCritic(policy.network, mdp.observation.size, mdp.privileged.size, mdp.context.layout.num_joints)
     path = tmp_path_factory.mktemp("policies") / "p.safetensors"
     save_policy(path, {MODULE: networks}, make_policy_card(policy, task, 77))
     return path

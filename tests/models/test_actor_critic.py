@@ -21,7 +21,7 @@ SMALL = defaults.network(actor=[16, 8], critic=[12])
 
 def make(config: NetworkConfig = SMALL, seed: int = 0) -> ActorCritic:
     torch.manual_seed(seed)
-    return ActorCritic(config, observation=9, privileged=4)
+    return ActorCritic(config, observation=9, privileged=4, actions=12)
 
 
 def seen(*batch: int, scale: float = 1.0) -> TensorDict:

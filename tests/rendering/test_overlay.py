@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import defaults
 import numpy as np
 import pytest
 from PIL import Image
@@ -15,7 +16,9 @@ def moment(
     def flags(text: str) -> list[bool]:
         return [c == "1" for c in text]
 
-    return Frame(time, flags(deck), flags(touching), mounted, np.zeros(0), np.zeros((0, 3)), **outcome)
+    return Frame(
+        time, defaults.LAYOUT.legs, flags(deck), flags(touching), mounted, np.zeros(0), np.zeros((0, 3)), **outcome
+    )
 
 
 def count(picture: Image.Image, color: tuple[int, int, int], within: int = 0) -> int:

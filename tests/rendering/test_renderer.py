@@ -42,7 +42,9 @@ def painter(scene: Scene, model: mujoco.MjModel) -> Iterator[EpisodeRenderer]:
 
 def frame(model: mujoco.MjModel, on_deck: bool = False) -> Frame:
     """The robot beside the board, as the model has it."""
-    return Frame(1.0, [on_deck] * 4, [True] * 4, False, model.qpos0.copy(), np.zeros((model.nmocap, 3)))
+    return Frame(
+        1.0, defaults.LAYOUT.legs, [on_deck] * 4, [True] * 4, False, model.qpos0.copy(), np.zeros((model.nmocap, 3))
+    )
 
 
 def path_of(scene: Scene, model: mujoco.MjModel) -> tuple[CameraPath, list[np.ndarray]]:

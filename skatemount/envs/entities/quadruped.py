@@ -10,6 +10,7 @@ from dm_control import composer, mjcf
 
 from skatemount.envs.config.robot import RobotConfig
 from skatemount.envs.entities import a1_visuals, plain_visuals
+from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.robots.spec import Leg, LegKinematics, Link, RobotSpec
 
 __all__ = ["KD_INDEX", "KP_INDEX", "LOOKS", "LegKinematics", "Quadruped", "RobotConfig", "scale_gains"]
@@ -45,6 +46,7 @@ class Quadruped(composer.Entity):
         self._config = config
         self._config.validate()
         self._spec = self._config.spec
+        self._layout = JointLayout.of(self._spec)
         self._mjcf_root = mjcf.RootElement(model=name or self._spec.name)
         self._mjcf_root.compiler.angle = "radian"
         self._add_defaults()
@@ -155,6 +157,11 @@ class Quadruped(composer.Entity):
     def spec(self) -> RobotSpec:
         """Numbers and names of the robot."""
         return self._spec
+
+    @property
+    def layout(self) -> JointLayout:
+        """Order of the joints, feet and bodies."""
+        return self._layout
 
     @property
     def trunk(self) -> mjcf.Element:

@@ -12,10 +12,14 @@ from torch import Tensor
 
 from skatemount.envs.config.terms import ObservationTerm
 from skatemount.envs.mirror import mirror_map
+from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.sampling import coarse_noise
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import Registry, TaskContext
 from skatemount.utils.errors import ConfigError
+
+Size = Callable[[JointLayout, dict[str, Any]], int]
+"""A function that computes a number of values from the robot's layout and the parameters of a term."""
 
 
 @dataclass(frozen=True)
@@ -23,22 +27,22 @@ class TermLayout:
     """The size of an observation term and its left-right symmetry.
 
     Attributes:
-        size: Number of values, or a function that computes it from the term's parameters.
+        size: Number of values, or a function that computes it from the robot's layout and the term's parameters.
         mirror: A kind of `skatemount.envs.mirror.mirror_map`; None if the term has no left-right mirror image.
     """
 
-    size: int | Callable[[dict[str, Any]], int]
+    size: int | Size
     mirror: str | None
 
-    def count(self, params: dict[str, Any]) -> int:
-        """Return the number of values for the given parameters."""
-        return self.size if isinstance(self.size, int) else self.size(params)
+    def count(self, layout: JointLayout, params: dict[str, Any]) -> int:
+        """Return the number of values for a robot and the given parameters."""
+        return self.size if isinstance(self.size, int) else self.size(layout, params)
 
 
 OBSERVATIONS = Registry("observation")
 
 
-def observation(size: int | Callable[[dict[str, Any]], int], mirror: str | None) -> Callable:
+def observation(size: int | Size, mirror: str | None) -> Callable:
     """Return a decorator that registers an observation term.
 
     Args:
@@ -103,8 +107,10 @@ class ObservationTable:
                 raise ConfigError(f"{where}.{name}.scale={term.scale} must be finite")
             if term.clip is not None and not term.clip > 0:
                 raise ConfigError(f"{where}.{name}.clip={term.clip} must be above 0, or null for none")
-            layout = OBSERVATIONS.attributes(name)
-            self._blocks.append(_Block(name, term, layout.count(term.params), frames, layout.mirror))
+            attributes = OBSERVATIONS.attributes(name)
+            self._blocks.append(
+                _Block(name, term, attributes.count(context.layout, term.params), frames, attributes.mirror)
+            )
         self.names = list(terms)
         self.size = sum(block.size * block.frames for block in self._blocks)
         self._remembers = any(block.frames > 1 for block in self._blocks)
@@ -196,7 +202,7 @@ class ObservationTable:
                     f"{self._where}.{block.name} has no left-right mirror image, which network.symmetric=true needs; "
                     "remove the term or set network.symmetric=false"
                 )
-            permutation, sign = mirror_map(block.mirror, block.size)
+            permutation, sign = mirror_map(block.mirror, block.size, self._context.layout)
             for _ in range(block.frames):
                 permutations.append(permutation + start)
                 signs.append(sign)

@@ -1,12 +1,13 @@
 """Observation terms: functions of state, episode and constants that return ``[N, size]``.
 
-"Paper's code" means the settings of the paper's published runs.
+J, F and B are the numbers of the robot's joints, feet and bodies. "Paper's code" means the settings of the paper's
+published runs.
 """
 
 from __future__ import annotations
 
 import functools
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -14,8 +15,21 @@ from torch import Tensor
 from skatemount.envs import success
 from skatemount.envs.geometry import rotate_inverse
 from skatemount.envs.observations.table import observation
+from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import TaskContext
+
+
+def _joints(layout: JointLayout, params: dict[str, Any]) -> int:
+    return layout.num_joints
+
+
+def _feet(layout: JointLayout, params: dict[str, Any]) -> int:
+    return layout.num_feet
+
+
+def _feet_points(layout: JointLayout, params: dict[str, Any]) -> int:
+    return 3 * layout.num_feet
 
 
 @observation(3, "axial")
@@ -42,21 +56,21 @@ def command(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tenso
     return episode.command
 
 
-@observation(12, "joints")
+@observation(_joints, "joints")
 def joint_pos(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return the joint angles relative to the default pose, ``[N, 12]`` rad."""
+    """Return the joint angles relative to the default pose, ``[N, J]`` rad."""
     return sim.joint_pos - context.default_pose
 
 
-@observation(12, "joints")
+@observation(_joints, "joints")
 def joint_vel(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return the joint velocities, ``[N, 12]`` rad/s."""
+    """Return the joint velocities, ``[N, J]`` rad/s."""
     return sim.joint_vel
 
 
-@observation(12, "joints")
+@observation(_joints, "joints")
 def last_action(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return the clipped action of the last step, ``[N, 12]``."""
+    """Return the clipped action of the last step, ``[N, J]``."""
     return episode.action
 
 
@@ -148,7 +162,7 @@ def _points_in_trunk_frame(sim: SimState, axes: Tensor, matrix: Tensor) -> Tenso
     return ((axes.flatten(1) @ matrix).view(len(axes), -1, 3) + sim.board_pos_base.unsqueeze(1)).flatten(1)
 
 
-@observation(lambda params: 3 * params.get("points", 16), "outline")
+@observation(lambda layout, params: 3 * params.get("points", 16), "outline")
 def outline(sim: SimState, episode: EpisodeState, context: TaskContext, points: int = 16) -> Tensor:
     """Return points at equal arc length around the deck's top edge, trunk frame, ``[N, 3 points]`` m.
 
@@ -184,21 +198,24 @@ def _paper_outline(deck_half: tuple[float, float], device: torch.device) -> Tens
     return _rotation_to_points(torch.tensor([(x, y, 0.012) for x, y in points]), device)
 
 
-@observation(12, "feet")
+@observation(_feet_points, "feet")
 def feet_base(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return the centers of the feet in the trunk frame, ``[N, 12]`` m."""
+    """Return the centers of the feet in the trunk frame, ``[N, 3 F]`` m."""
     return sim.foot_pos_base.flatten(1)
 
 
-@observation(12, None)
+@observation(_feet_points, None)
 def feet_base_left_first(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return the centers of the feet in the trunk frame, ``[N, 12]`` m, in the order FL, FR, RL, RR (paper's code)."""
-    return sim.foot_pos_base[:, [1, 0, 3, 2]].flatten(1)
+    """Return the centers of the feet in the trunk frame, ``[N, 3 F]`` m, left and right exchanged.
+
+    The A1's order is then FL, FR, RL, RR, as in the paper's code.
+    """
+    return sim.foot_pos_base[:, list(context.layout.mirror_legs)].flatten(1)
 
 
-@observation(12, "feet")
+@observation(_feet_points, "feet")
 def feet_board(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return the centers of the feet in the board frame, ``[N, 12]`` m; x points to the end that the trunk faces."""
+    """Return the centers of the feet in the board frame, ``[N, 3 F]`` m; x points to the end that the trunk faces."""
     return (sim.foot_pos_board * _facing_signs(episode)).flatten(1)
 
 
@@ -207,34 +224,34 @@ def _facing_signs(episode: EpisodeState) -> Tensor:
     return torch.nn.functional.pad(episode.board_direction.expand(-1, 2), (0, 1), value=1.0).unsqueeze(1)
 
 
-@observation(4, "flags")
+@observation(_feet, "flags")
 def on_deck(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return 1 for each foot that presses on the deck from above, else 0, ``[N, 4]``."""
+    """Return 1 for each foot that presses on the deck from above, else 0, ``[N, F]``."""
     return episode.on_deck.to(sim.base_pos.dtype)
 
 
-@observation(4, "flags")
+@observation(_feet, "flags")
 def off_time(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return the time since each foot last pressed on the deck, at most 1 s, ``[N, 4]`` s."""
+    """Return the time since each foot last pressed on the deck, at most 1 s, ``[N, F]`` s."""
     return episode.off_time.clamp(max=1.0)
 
 
-@observation(4, "flags")
+@observation(_feet, "flags")
 def deck_touch(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return 1 for each foot with any force against the deck, else 0, ``[N, 4]`` (paper's code, no threshold)."""
+    """Return 1 for each foot with any force against the deck, else 0, ``[N, F]`` (paper's code, no threshold)."""
     return (sim.foot_deck_force != 0).any(-1).to(sim.base_pos.dtype)
 
 
-@observation(8, "flags_twice")
+@observation(lambda layout, params: 2 * layout.num_feet, "flags_twice")
 def foot_forces(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return the contact force of each foot with the deck, then with anything else, ``[N, 8]`` in units of 100 N."""
+    """Return the contact force of each foot with the deck, then with anything else, ``[N, 2 F]`` in units of 100 N."""
     forces = torch.cat((sim.foot_deck_force, sim.foot_other_force), 1)
     return torch.linalg.vector_norm(forces, dim=-1) * 0.01
 
 
-@observation(13, "bodies")
+@observation(lambda layout, params: layout.num_bodies, "bodies")
 def body_contacts(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
-    """Return 1 for each robot body other than the feet that touches something, else 0, ``[N, 13]``."""
+    """Return 1 for each robot body other than the feet that touches something, else 0, ``[N, B]``."""
     return success.body_contacts(sim).to(sim.base_pos.dtype)
 
 

@@ -37,7 +37,7 @@ class Physics(Protocol):
         """Advance every world by ``substeps`` physics steps.
 
         Args:
-            targets: ``[N, 12]`` joint position targets, rad.
+            targets: ``[N, J]`` joint position targets, rad.
             substeps: Number of physics steps.
         """
         ...
@@ -124,8 +124,8 @@ class StartState:
         base_quat: ``[N, 4]`` rotation from the trunk frame to the world, ``w x y z``.
         base_lin_vel: ``[N, 3]`` world, m/s.
         base_ang_vel: ``[N, 3]`` trunk frame, rad/s.
-        joint_pos: ``[N, 12]`` rad.
-        joint_vel: ``[N, 12]`` rad/s.
+        joint_pos: ``[N, J]`` rad.
+        joint_vel: ``[N, J]`` rad/s.
         ground_height: ``[N]`` height of the robot's floor, m.
         board_fixed: ``[N]`` bool, the deck is welded to the world.
         board_speed: ``[N]`` speed of the rolling board along its x axis, m/s; 0 where it is fixed.

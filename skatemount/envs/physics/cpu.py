@@ -61,7 +61,7 @@ class CpuPhysics:
         self._ctrl, self._wrench = bind("ctrl"), bind("xfrc_applied")
         self._weld, self._mocap = bind("eq_active"), bind("mocap_pos")
         self._sensordata = bind("sensordata")
-        # A slice is copied faster than an index array, and the 12 joints are one if their addresses have no gaps.
+        # A slice is copied faster than an index array, and the joints are one if their addresses have no gaps.
         dof = self.index.joint_dof
         self._joint_dof: slice | np.ndarray = dof
         if (np.diff(dof) == 1).all():

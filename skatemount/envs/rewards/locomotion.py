@@ -149,10 +149,11 @@ def joint_pose_squared(sim: SimState, episode: EpisodeState, context: TaskContex
 def joint_mirror(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Penalize unequal diagonal legs: half the sum of squared joint differences, rad^2 (paper's code).
 
-    The pairs are FR - RL and FL - RR, with joint angles that are not mirrored.
+    The pairs are the robot's diagonals, FR - RL and FL - RR, with joint angles that are not mirrored.
     """
-    fr, fl, rr, rl = sim.joint_pos.unflatten(-1, (4, 3)).unbind(1)
-    return 0.5 * ((fr - rl).square().sum(-1) + (fl - rr).square().sum(-1))
+    legs = sim.joint_pos.unflatten(-1, context.layout.by_leg).unbind(1)
+    first, second = ((legs[i] - legs[j]).square().sum(-1) for i, j in context.layout.diagonals)
+    return 0.5 * (first + second)
 
 
 @penalty
@@ -262,5 +263,5 @@ def feet_height_body(sim: SimState, episode: EpisodeState, context: TaskContext,
 
 
 def _foot_velocity_base(sim: SimState) -> Tensor:
-    """Compute the velocity of the feet relative to the trunk's center in the trunk frame, ``[N, 4, 3]`` m/s."""
+    """Compute the velocity of the feet relative to the trunk's center in the trunk frame, ``[N, F, 3]`` m/s."""
     return rotate_inverse(sim.base_rot, sim.foot_vel) - sim.base_lin_vel.unsqueeze(1)

@@ -1,9 +1,10 @@
 """The robots: a `RobotSpec` for each, by the name that ``robot.variant`` gives."""
 
 from skatemount.envs.robots.a1 import A1, A1_ISAAC
+from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.robots.spec import RobotSpec
 
 ROBOTS: dict[str, RobotSpec] = {"unitree": A1, "isaac": A1_ISAAC}
 """Known robots by ``robot.variant``. Add one with ``ROBOTS[name] = spec``."""
 
-__all__ = ["A1", "A1_ISAAC", "ROBOTS", "RobotSpec"]
+__all__ = ["A1", "A1_ISAAC", "ROBOTS", "JointLayout", "RobotSpec"]
