@@ -52,6 +52,15 @@ def test_loads_what_was_saved(config: Config, task: MountTask, tmp_path: Path) -
     check_interface(agent.card, task)
 
 
+def test_a_card_without_joints_is_named(config: Config, task: MountTask, tmp_path: Path) -> None:
+    card = make_policy_card(config, task, frames=0)
+    del card.action["joints"]
+    path = tmp_path / "p.safetensors"
+    save_policy(path, {MODULE: make_networks(config)}, card)
+    with pytest.raises(ConfigError, match=f"^checkpoint={path}: action.joints of its card must name the joints"):
+        TrainedPolicy.load(str(path))
+
+
 def test_card_says_what_is_seen_and_done(config: Config, task: MountTask) -> None:
     card = make_policy_card(config, task, frames=0)
     sizes = {"observation": 0, "privileged": 0}
