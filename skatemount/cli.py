@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -13,7 +13,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from skatemount.config import config_dir, one_line, stages, suites
+from skatemount.config import config_dir, one_line, set_user_config_dir, stages, suites
 from skatemount.config.compose import checked, plain
 from skatemount.config.overrides import prepare
 from skatemount.config.versions import rename_override
@@ -31,9 +31,6 @@ def run(verb: Callable[[Any, list[str]], None], program: str) -> None:
         verb: Takes the program's settings, a dataclass, and the overrides that led to them.
         program: Name of the program, and of its file in ``conf/``.
     """
-    if {"--help", "-h"} & set(sys.argv[1:]):
-        print(help_text(program))
-        return
     # Without this Hydra prints a screen of its own and ends the program itself.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     ignore_torchrl_warnings()
@@ -57,6 +54,10 @@ def run(verb: Callable[[Any, list[str]], None], program: str) -> None:
             fail(error)
 
     try:
+        set_user_config_dir(config_dir_of(sys.argv[1:]))
+        if {"--help", "-h"} & set(sys.argv[1:]):
+            print(help_text(program))
+            return
         sys.argv[1:] = _prepared(sys.argv[1:], program)
         application()
     except KeyboardInterrupt:
@@ -65,6 +66,24 @@ def run(verb: Callable[[Any, list[str]], None], program: str) -> None:
         if isinstance(error, ConfigError | OSError) or _from_hydra(error):
             fail(error)
         raise
+
+
+def config_dir_of(arguments: Sequence[str]) -> str | None:
+    """Return the folder that ``--config-dir`` names among a command line's arguments; None without one.
+
+    Raises:
+        ConfigError: The option has no value.
+    """
+    for i, argument in enumerate(arguments):
+        option, equals, value = argument.partition("=")
+        if option not in ("--config-dir", "-cd"):
+            continue
+        if equals:
+            return value
+        if i + 1 == len(arguments):
+            raise ConfigError(f"{argument}: give the folder, {argument} my_conf")
+        return arguments[i + 1]
+    return None
 
 
 def help_text(program: str) -> str:

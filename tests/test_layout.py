@@ -12,7 +12,6 @@ TESTED_IN = {
     "bench.py": "profiling/test_measure.py",
     "cli.py": "test_train_command.py",
     "config/bench.py": "profiling/test_measure.py",
-    "config/files.py": "config/test_compose.py",
     "config/messages.py": "config/test_compose.py",
     "config/overrides.py": "config/test_keys.py",
     "config/programs.py": "config/test_keys.py",

@@ -1,7 +1,16 @@
 """Settings: their schema, composed from YAML and checked."""
 
 from skatemount.config.compose import compose, compose_program, compose_task, from_dict, to_dict
-from skatemount.config.files import check_choice, config_dir, stages, suites
+from skatemount.config.files import (
+    check_choice,
+    config_dir,
+    config_dir_options,
+    set_user_config_dir,
+    stages,
+    suites,
+    user_config_dir,
+    using_config_dir,
+)
 from skatemount.config.messages import one_line
 from skatemount.config.programs import BenchProgramConfig, EvaluateConfig, PolicyConfig, RecordConfig
 from skatemount.config.schema import Config
@@ -17,9 +26,13 @@ __all__ = [
     "compose_program",
     "compose_task",
     "config_dir",
+    "config_dir_options",
     "from_dict",
     "one_line",
+    "set_user_config_dir",
     "stages",
     "suites",
     "to_dict",
+    "user_config_dir",
+    "using_config_dir",
 ]

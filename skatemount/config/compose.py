@@ -6,6 +6,7 @@ import copy
 import functools
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import hydra
@@ -13,7 +14,8 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
-from skatemount.config.files import check_choice, config_dir
+from skatemount.config.files import check_choice, config_dirs, user_config_dir, using_config_dir
+from skatemount.config.files import config_dir as package_config_dir
 from skatemount.config.keys import in_words, is_known, keys, unknown
 from skatemount.config.messages import one_line
 from skatemount.config.overrides import prepare
@@ -26,20 +28,23 @@ from skatemount.utils.errors import ConfigError
 _WRITTEN_WITH_EXPONENT = re.compile(r"[+-]?\d+(\.\d*)?[eE]\+?\d+")
 
 
-def compose(stage: str | None = None, overrides: Sequence[str] = ()) -> Config:
+def compose(stage: str | None = None, overrides: Sequence[str] = (), config_dir: Path | str | None = None) -> Config:
     """Compose the settings of a training from Python; works inside a running Hydra application, too.
 
     Args:
         stage: Name of a stage.
         overrides: Further settings as on the command line, ``["board=longboard", "reward.mounted.weight=5"]``.
+        config_dir: Folder of the user's own stages, boards and other groups, for this call; `set_user_config_dir` sets
+            it for the whole process, which evaluations and chains need.
 
     Raises:
         ConfigError: An unknown stage, setting or value.
     """
-    if stage is not None:
-        check_choice("stage", stage)
-        overrides = [f"stage={stage}", *overrides]
-    config = compose_program("train", overrides)
+    with using_config_dir(config_dir):
+        if stage is not None:
+            check_choice("stage", stage)
+            overrides = [f"stage={stage}", *overrides]
+        config = compose_program("train", overrides)
     assert isinstance(config, Config)
     return config
 
@@ -59,7 +64,7 @@ def compose_program(program: str, overrides: Sequence[str]) -> TaskConfig:
     Raises:
         ConfigError: An unknown setting or value.
     """
-    values = _composed(program, tuple(prepare(overrides, program)), _fingerprint())
+    values = _composed(program, tuple([*_search_path(), *prepare(overrides, program)]), _fingerprint())
     return checked(copy.deepcopy(values), program)
 
 
@@ -75,7 +80,7 @@ def _composed(program: str, overrides: tuple[str, ...], fingerprint: tuple[int, 
     # Hydra knows one application at a time: a running one steps aside.
     running, GlobalHydra.instance().hydra = GlobalHydra.instance().hydra, None
     try:
-        with hydra.initialize_config_dir(str(config_dir().absolute()), version_base="1.3"):
+        with hydra.initialize_config_dir(str(package_config_dir().absolute()), version_base="1.3"):
             return plain(hydra.compose(program, list(overrides)))
     except ConfigError:
         raise
@@ -85,9 +90,18 @@ def _composed(program: str, overrides: tuple[str, ...], fingerprint: tuple[int, 
         GlobalHydra.instance().hydra = running
 
 
+def _search_path() -> list[str]:
+    """Return the override that makes Hydra look into the user's folder, if there is one."""
+    folder = user_config_dir()
+    if folder is None:
+        return []
+    escaped = str(folder).replace("\\", "\\\\").replace("'", "\\'")
+    return [f"hydra.searchpath=['file://{escaped}']"]
+
+
 def _fingerprint() -> tuple[int, int]:
     """Return a number of files and a time that change when a YAML file does."""
-    times = [path.stat().st_mtime_ns for path in config_dir().rglob("*.yaml")]
+    times = [path.stat().st_mtime_ns for folder in config_dirs() for path in folder.rglob("*.yaml")]
     return len(times), max(times)
 
 

@@ -1,8 +1,10 @@
-"""The YAML files of the settings."""
+"""The YAML files of the settings: those of the package, and those of the user (``--config-dir``)."""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,8 @@ from skatemount.utils.errors import ConfigError
 
 SHARED = "base"
 """Folder of what the programs' files have in common; it is no group."""
+
+_user_dir: Path | None = None
 
 
 @functools.cache
@@ -25,13 +29,72 @@ def config_dir() -> Path:
     raise ConfigError(f"no settings found in or beside {package}: install skatemount again")
 
 
+def user_config_dir() -> Path | None:
+    """Return the user's own folder of YAML groups, an absolute path; None if there is none."""
+    return _user_dir
+
+
+def set_user_config_dir(folder: Path | str | None) -> None:
+    """Add a user's own stages, boards, suites and other groups to those of the package, for this process.
+
+    Args:
+        folder: A folder laid out as ``conf/``, such as ``my_conf`` with ``my_conf/stage/mine.yaml``; None for none.
+
+    Raises:
+        ConfigError: There is no such folder, it has no group, or a file in it has a name that the package uses.
+    """
+    global _user_dir
+    if folder is None:
+        _user_dir = None
+        return
+    where, path = f"--config-dir {folder}", Path(folder).absolute()
+    if not path.is_dir():
+        raise ConfigError(f"{where}: there is no such folder")
+    known = [each.name for each in _groups_of(config_dir())]
+    found = [each for each in _groups_of(path) if each.name in known]
+    if not found:
+        raise ConfigError(f"{where}: has no folder of a group; groups are {', '.join(known)}")
+    for group in found:
+        for file in sorted(group.glob("*.yaml")):
+            # Hydra would take the package's file without a word.
+            if (config_dir() / group.name / file.name).is_file():
+                raise ConfigError(f"{where}: the package has a {group.name} {file.stem}; rename {file}")
+    _user_dir = path
+
+
+def config_dir_options() -> list[str]:
+    """Return the options of a command line that name the user's folder; none without one."""
+    return [] if _user_dir is None else ["--config-dir", str(_user_dir)]
+
+
+@contextmanager
+def using_config_dir(folder: Path | str | None) -> Iterator[None]:
+    """Add a user's own settings for the time of a block; see `set_user_config_dir`.
+
+    Args:
+        folder: The user's folder; None leaves the present one.
+    """
+    before = _user_dir
+    if folder is not None:
+        set_user_config_dir(folder)
+    try:
+        yield
+    finally:
+        set_user_config_dir(before)
+
+
+def config_dirs() -> list[Path]:
+    """Return every folder of YAML groups: the package's, then the user's."""
+    return [config_dir()] if _user_dir is None else [config_dir(), _user_dir]
+
+
 def groups(program: str | None = None) -> list[str]:
     """Return the names of the groups of settings.
 
     Args:
         program: Leave out the groups that this program does not have.
     """
-    found = sorted(path.name for path in config_dir().iterdir() if path.is_dir() and path.name != SHARED)
+    found = [path.name for path in _groups_of(config_dir())]
     if program is None:
         return found
     return [name for name in found if name in _listed(program)]
@@ -39,7 +102,17 @@ def groups(program: str | None = None) -> list[str]:
 
 def choices(group: str) -> list[str]:
     """Return the names of a group's files."""
-    return sorted(path.stem for path in (config_dir() / group).glob("*.yaml"))
+    return sorted(path.stem for folder in config_dirs() for path in (folder / group).glob("*.yaml"))
+
+
+def find_file(group: str, name: str) -> Path:
+    """Return a group's file.
+
+    Raises:
+        ConfigError: There is no such file.
+    """
+    check_choice(group, name)
+    return next(path for folder in config_dirs() if (path := folder / group / f"{name}.yaml").is_file())
 
 
 def load_file(group: str, name: str) -> dict[str, Any]:
@@ -48,8 +121,7 @@ def load_file(group: str, name: str) -> dict[str, Any]:
     Raises:
         ConfigError: There is no such file, or it is not a YAML mapping.
     """
-    path = config_dir() / group / f"{name}.yaml"
-    check_choice(group, name)
+    path = find_file(group, name)
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -80,9 +152,13 @@ def _described(group: str, key: str) -> dict[str, str]:
     for name in choices(group):
         value: Any = load_file(group, name)
         for part in key.split("."):
-            value = value.get(part) or {}
+            value = (value.get(part) or {}) if isinstance(value, dict) else {}
         found[name] = str(value or "")
     return found
+
+
+def _groups_of(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_dir() and path.name != SHARED)
 
 
 def _listed(program: str) -> set[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -182,7 +181,7 @@ class EvaluationTask:
 
     def record_command(self, episode: int) -> str:
         """Return the command that films an episode exactly as it was evaluated."""
-        words = ["python", "-m", "skatemount.record", *self.agent.settings]
+        words = ["python", "-m", "skatemount.record", *configuration.config_dir_options(), *self.agent.settings]
         if self.suite is not None:
             words.append(f"suite={self.suite.name}")
         if self.seed:
@@ -288,9 +287,8 @@ def evaluation_config(
     return configuration.from_dict(values)
 
 
-@functools.lru_cache
 def _stage(name: str) -> Config:
-    """Compose a stage's settings; cached, because it is slow and many suites share a stage."""
+    """Compose a stage's settings; Hydra's work is cached, as many suites share a stage."""
     return configuration.compose(name)
 
 

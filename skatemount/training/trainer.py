@@ -348,7 +348,8 @@ def next_commands(run: RunFolder) -> str:
     stage = run.config["stage"]["name"] if run.latest is None else checkpoint.read_card(run.latest).stage
     policy = f"checkpoint={run.path}"
     suite = [f"suite={name}" for name in configuration.suites() if stage in name.split("-")][:1]
-    evaluate = ["python", "-m", "skatemount.evaluate", policy, *suite]
+    options = configuration.config_dir_options() if suite else []
+    evaluate = ["python", "-m", "skatemount.evaluate", *options, policy, *suite]
     return f"next:\n  {shlex.join(evaluate)}\n  {shlex.join(['python', '-m', 'skatemount.record', policy])}"
 
 
