@@ -18,7 +18,7 @@ from skatemount.envs.task import MountTask
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.models.normalization import is_old_count
 from skatemount.runs.checkpoint import PolicyCard, load_policy
-from skatemount.runs.find import find_checkpoint
+from skatemount.runs.find import find_checkpoint, is_own_run
 from skatemount.runs.provenance import package_versions
 from skatemount.runs.shipped import POLICIES, PRETRAINED
 from skatemount.utils.errors import ConfigError
@@ -57,11 +57,13 @@ class TrainedPolicy:
             The policy.
 
         Raises:
-            ConfigError: There is no such policy, or its weights do not fit its card or this version.
+            ConfigError: There is no such policy, its weights do not fit its card or this version, or it needs plugins
+                that are not imported and is not of a run inside ``root``.
         """
         path = find_checkpoint(spec, root, setting)
         modules, card = load_policy(path)
-        config = configuration.from_dict(card.config)
+        where = f"{setting}={spec}: saved settings"
+        config = configuration.from_dict(card.config, own=is_own_run(path, root), where=where)
         sizes = {
             key: sum(part.get("size", 0) for part in card.observation if part.get("key") == key)
             for key in ("observation", "privileged")

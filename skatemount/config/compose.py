@@ -19,6 +19,7 @@ from skatemount.config.files import config_dir as package_config_dir
 from skatemount.config.keys import in_words, is_known, keys, unknown
 from skatemount.config.messages import one_line
 from skatemount.config.overrides import prepare
+from skatemount.config.plugins import import_plugins, require_plugins
 from skatemount.config.programs import PROGRAMS
 from skatemount.config.schema import Config
 from skatemount.config.versions import FORMAT, upgrade
@@ -119,12 +120,13 @@ def plain(composed: DictConfig) -> dict[str, Any]:
     return values  # type: ignore[return-value]
 
 
-def checked(values: dict[str, Any], program: str) -> TaskConfig:
+def checked(values: dict[str, Any], program: str, saved: str | None = None) -> TaskConfig:
     """Return plain values as the dataclasses of a program, validated.
 
     Args:
         values: Nested settings; whole numbers that YAML reads as text or floats are changed in place.
         program: A key of `PROGRAMS`.
+        saved: Name of the saved settings whose plugins must be imported already; None imports the plugins.
 
     Raises:
         ConfigError: A key that does not exist, one that is missing, or a value that cannot be used.
@@ -141,6 +143,10 @@ def checked(values: dict[str, Any], program: str) -> TaskConfig:
         raise ConfigError(_wrong_type(error, values, schema)) from error
     assert isinstance(result, TaskConfig)
     result.validate()
+    if saved is None:
+        import_plugins(result.plugins)
+    else:
+        require_plugins(result.plugins, saved)
     result.validate_terms()
     return result
 
@@ -175,19 +181,21 @@ def _wrong_type(error: OmegaConfBaseException, values: dict[str, Any], schema: t
     return f"{key}={'null' if value is None else value} must be {in_words(hint)}"
 
 
-def from_dict(values: dict[str, Any]) -> Config:
+def from_dict(values: dict[str, Any], own: bool = False, where: str = "saved settings") -> Config:
     """Return the settings that a run or a policy card has saved.
 
     Args:
         values: Result of `to_dict`, of this version or an older one; see `skatemount.config.versions`.
+        own: Import their plugins. Only for a run of one's own: settings from elsewhere must not run code.
+        where: Name of the settings, for messages.
 
     Raises:
-        ConfigError: They are damaged, or of a newer version.
+        ConfigError: They are damaged, of a newer version, or need plugins that are not imported.
     """
     try:
-        config = checked(upgrade(values), "train")
+        config = checked(upgrade(values), "train", None if own else "not a run of your own")
     except ConfigError as error:
-        raise ConfigError(f"saved settings: {error}") from error
+        raise ConfigError(f"{where}: {error}") from error
     assert isinstance(config, Config)
     return config
 

@@ -51,6 +51,7 @@ ADDED: dict[str, Any] = {
     "physics.max_constraints": 160,
     "physics.max_contacts": 48,
     "physics.tolerance": 1e-8,
+    "plugins": [],
 }
 """Settings that saved files of format 1 may lack, with the value that they had when they were not settings yet."""
 
@@ -75,6 +76,8 @@ def upgrade(values: dict[str, Any]) -> dict[str, Any]:
     if saved > FORMAT:
         raise ConfigError(f"format={saved} is newer than {FORMAT}, the newest that this version reads")
     if saved == FORMAT:
+        # The first files of this format lack it.
+        values.setdefault("plugins", [])
         return values
     for old, new in RENAMED.items():
         *groups, name = old.split(".")

@@ -17,20 +17,21 @@ from skatemount.envs.config.terms import TerminationTerm
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import Registry, TaskContext
 
-TERMINATIONS = Registry("termination")
+TERMINATIONS = Registry("termination", flags=True)
 
 
-def _termination(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+def termination(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """Register a term that returns ``[N]`` bool and ends the episodes where it is true."""
     return TERMINATIONS.register()(function)
 
 
-@_termination
+@termination
 def trunk_contact(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """End the episode when the trunk touches anything with more than 1 N (paper's code)."""
     return sim.body_force[:, 0] > success.PRESS
 
 
-@_termination
+@termination
 def tilt(sim: SimState, episode: EpisodeState, context: TaskContext, degrees: float = 66.0) -> Tensor:
     """End the episode when the trunk is tilted too far from upright (ours).
 
@@ -43,7 +44,7 @@ def tilt(sim: SimState, episode: EpisodeState, context: TaskContext, degrees: fl
     return -sim.gravity[:, 2] < math.cos(math.radians(degrees))
 
 
-@_termination
+@termination
 def board_tilt(sim: SimState, episode: EpisodeState, context: TaskContext, degrees: float = 53.0) -> Tensor:
     """End the episode when the deck is tilted too far from level (ours; with 90 degrees, the paper's flip).
 
@@ -56,7 +57,7 @@ def board_tilt(sim: SimState, episode: EpisodeState, context: TaskContext, degre
     return success.deck_level(sim) < math.cos(math.radians(degrees))
 
 
-@_termination
+@termination
 def out_of_reach(sim: SimState, episode: EpisodeState, context: TaskContext, metres: float = 2.2) -> Tensor:
     """End the episode when the trunk is too far from the deck's center (ours).
 

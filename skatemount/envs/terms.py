@@ -84,15 +84,22 @@ class TaskContext:
         )
 
 
+Columns = Callable[[Any, JointLayout, dict[str, Any]], int]
+
+
 class Registry:
     """Named term functions of one kind.
 
     Args:
         kind: ``reward``, ``observation`` or ``termination``, for messages.
+        flags: True if the terms return bool, False if they return floats.
+        columns: Takes a term's properties, the robot's layout and the term's parameters, and returns the number of
+            values in a world; None if the terms return one value without a dimension of its own, ``[N]``.
     """
 
-    def __init__(self, kind: str):
+    def __init__(self, kind: str, flags: bool = False, columns: Columns | None = None):
         self.kind = kind
+        self._flags, self._columns = flags, columns
         self._functions: dict[str, TermFunction] = {}
         self._attributes: dict[str, Any] = {}
 
@@ -103,13 +110,16 @@ class Registry:
             attributes: Properties of the term, which `attributes` returns.
 
         Raises:
-            ValueError: The name is taken.
+            ConfigError: The name is taken.
         """
 
         def add(function: TermFunction) -> TermFunction:
             key = function.__name__
             if key in self._functions:
-                raise ValueError(f"{self.kind} term {key!r} is registered twice")
+                raise ConfigError(
+                    f"{self.kind} term {key!r} is registered twice, by {self._functions[key].__module__} and by "
+                    f"{function.__module__}"
+                )
             self._functions[key] = function
             self._attributes[key] = attributes
             return function
@@ -123,6 +133,28 @@ class Registry:
     def attributes(self, name: str) -> Any:
         """Return the properties that a term was registered with."""
         return self._attributes[name]
+
+    def description(self, name: str) -> str:
+        """Return the first line of a term's docstring; "" without one."""
+        lines = (inspect.getdoc(self._functions[name]) or "").splitlines()
+        return lines[0] if lines else ""
+
+    def module(self, name: str) -> str:
+        """Return the name of the module that registered a term."""
+        return self._functions[name].__module__
+
+    def snapshot(self) -> tuple[dict[str, TermFunction], dict[str, Any]]:
+        """Return the present terms, for `restore`."""
+        return dict(self._functions), dict(self._attributes)
+
+    def restore(self, saved: tuple[dict[str, TermFunction], dict[str, Any]]) -> None:
+        """Go back to the terms of a snapshot."""
+        self._functions, self._attributes = dict(saved[0]), dict(saved[1])
+
+    def check(self) -> None:
+        """Raise `ConfigError` for a term whose signature cannot be used."""
+        for name, function in self._functions.items():
+            _parameter_types(f"{self.kind} {name} of {function.__module__}", function)
 
     def bind(self, name: str, params: dict[str, Any], table: str | None = None) -> TermFunction:
         """Return a term's function with its parameters set.
@@ -144,15 +176,80 @@ class Registry:
             hint = f" (did you mean {close[0]}?)" if close else ""
             raise ConfigError(f"{where} is not a known {self.kind}{hint}; known: {', '.join(self.names())}")
         function = self._functions[name]
-        known = list(inspect.signature(function).parameters)[3:]
+        types = _parameter_types(f"{where} of {function.__module__}", function)
+        known = list(types)
         for key in params:
             if key not in known:
                 names = ", ".join(known) or "none"
                 raise ConfigError(f"{where}.params.{key} is not a parameter; known: {names}")
-        types = get_type_hints(function)
         for key, value in params.items():
             _check_parameter(f"{where}.params.{key}", value, types[key])
-        return partial(function, **params) if params else function
+        bound = partial(function, **params) if params else function
+        if function.__module__.startswith("skatemount."):
+            return bound
+        columns, attributes = self._columns, self._attributes[name]
+
+        def size(layout: JointLayout) -> tuple[int, ...]:
+            return () if columns is None else (columns(attributes, layout, params),)
+
+        return _CheckedTerm(bound, f"{where} of {function.__module__}", size, self._flags)
+
+
+@dataclass(frozen=True)
+class _CheckedTerm:
+    """A term of a plugin, whose results are checked.
+
+    Attributes:
+        function: The term with its parameters.
+        where: Name of the term and its module, for messages.
+        size: Takes the robot's layout and returns the shape of the result behind the dimension of the worlds.
+        flags: True if the result must be bool, False if it must be of floats.
+    """
+
+    function: TermFunction
+    where: str
+    size: Callable[[JointLayout], tuple[int, ...]]
+    flags: bool
+
+    def __call__(self, sim: SimState, episode: Any, context: TaskContext) -> Tensor:
+        """Return the term's result.
+
+        Raises:
+            ConfigError: It is no tensor, or one of the wrong shape or type.
+        """
+        value = self.function(sim, episode, context)
+        shape = (sim.base_pos.shape[0], *self.size(context.layout))
+        kind = "bool" if self.flags else "float"
+        if not isinstance(value, Tensor):
+            found = type(value).__name__
+        else:
+            fits = value.dtype == torch.bool if self.flags else value.is_floating_point()
+            if value.shape == shape and fits:
+                return value
+            found = f"{str(value.dtype).removeprefix('torch.')} of shape {list(value.shape)}"
+        raise ConfigError(f"{self.where} returned {found}; it must return {kind} of shape {list(shape)}")
+
+
+def _parameter_types(where: str, function: TermFunction) -> dict[str, Any]:
+    """Return the types of a term's own parameters by name.
+
+    Raises:
+        ConfigError: The function is no term: it does not take state, episode and context, or a parameter has no type
+            or no default.
+    """
+    parameters = list(inspect.signature(function).parameters.values())
+    first, own = parameters[:3], parameters[3:]
+    if [each.name for each in first] != ["sim", "episode", "context"]:
+        found = ", ".join(each.name for each in parameters)
+        raise ConfigError(f"{where} takes ({found}); a term takes (sim, episode, context) and then its parameters")
+    try:
+        types = get_type_hints(function)
+    except NameError as error:
+        raise ConfigError(f"{where}: {error} in its annotations; import it where the term can see it") from error
+    for each in own:
+        if each.name not in types or each.default is each.empty:
+            raise ConfigError(f"{where}: parameter {each.name} needs a type and a default, {each.name}: float = 1.0")
+    return {each.name: types[each.name] for each in own}
 
 
 def _check_parameter(where: str, value: Any, kind: Any) -> None:

@@ -20,6 +20,7 @@ from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import Config, PolicyConfig
 from skatemount.config.files import load_file
 from skatemount.config.keys import keys
+from skatemount.config.plugins import written
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.config.task import TaskConfig
 from skatemount.evaluation.evaluator import EVALUATION_SEED, NUM_WORLDS, Evaluator, mix_seeds
@@ -186,6 +187,9 @@ class EvaluationTask:
             words.append(f"suite={self.suite.name}")
         if self.seed:
             words.append(f"seed={self.seed}")
+        plugins = next(iter(self.configs.values())).plugins
+        if plugins and not any(_key(o) == "plugins" for o in self.overrides):
+            words.append(written(plugins))
         return shlex.join([*words, *self.overrides, f"episode={episode}"])
 
     def describe(self) -> dict[str, Any]:
@@ -284,6 +288,8 @@ def evaluation_config(
     values["physics"]["num_worlds"] = NUM_WORLDS
     for override in changes:
         _copy(_key(override).replace("/", ".").split("."), asked, values)
+    # The policy's observation may need other plugins than the suite's stage.
+    values["plugins"] = list(dict.fromkeys([*policy.plugins, *result.plugins, *asked["plugins"]]))
     return configuration.from_dict(values)
 
 

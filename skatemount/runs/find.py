@@ -57,6 +57,19 @@ def find_checkpoint(spec: str, root: Path | str = Path("runs"), setting: str = "
     raise ConfigError(f"{setting}={spec!r}: not found; there is {_choices([*names, *shipped_policies()])}")
 
 
+def is_own_run(path: Path, root: Path | str) -> bool:
+    """Return whether a path is a run, or a checkpoint of one, inside the folder of all runs; a file never is.
+
+    Args:
+        path: As `find_checkpoint` returns it.
+        root: Folder of all runs.
+    """
+    path, root = path.resolve(), Path(root).resolve()
+    if not path.is_dir() or root not in path.parents:
+        return False
+    return is_run(path) or is_run(path.parent.parent)
+
+
 def _of_run(run: Path, which: str, where: str) -> Path:
     folder = RunFolder(run)
     found = folder.best if which == "best" else folder.latest

@@ -21,7 +21,7 @@ from skatemount.curriculum.config import StageLink
 from skatemount.evaluation import report
 from skatemount.runs import atomic
 from skatemount.runs.checkpoint import load_training_state, read_card
-from skatemount.runs.find import find_checkpoint
+from skatemount.runs.find import find_checkpoint, is_own_run
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.serialization import parse_json
 from skatemount.training.callbacks import Callback, gate_reached
@@ -147,13 +147,14 @@ class Chain:
         Raises:
             ConfigError: An override that cannot be changed in the middle of a run.
         """
-        saved = configuration.from_dict(run.config)
+        own, where = is_own_run(run.path, config.logger.root), f"resume={config.resume}: saved settings"
+        saved = configuration.from_dict(run.config, own=own, where=where)
         path = run.path / CONFIGS_FILE
         try:
             values = yaml.safe_load(path.read_text(encoding="utf-8"))
         except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
             raise ConfigError(f"{path}: cannot be read, and the chain cannot resume without it") from error
-        stages = {name: configuration.from_dict(stage) for name, stage in values.items()}
+        stages = {name: configuration.from_dict(stage, own=own, where=where) for name, stage in values.items()}
         for each in (saved, *stages.values()):
             apply_resume_overrides(each, config, overrides)
         return cls(run, saved, stages, overrides, callbacks)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from skatemount import config as configuration
 from skatemount.config import Config
-from skatemount.runs.find import find_checkpoint
+from skatemount.runs.find import find_checkpoint, is_own_run
 from skatemount.runs.folder import RunFolder
 from skatemount.utils.errors import ConfigError
 
@@ -25,7 +25,9 @@ def resume_config(config: Config, overrides: list[str]) -> Config:
     if config.resume is None:
         return config
     folder = find_checkpoint(config.resume, Path(config.logger.root), setting="resume")
-    saved = configuration.from_dict(RunFolder.open(folder, setting="resume").config)
+    run = RunFolder.open(folder, setting="resume")
+    own = is_own_run(folder, config.logger.root)
+    saved = configuration.from_dict(run.config, own=own, where=f"resume={config.resume}: saved settings")
     apply_resume_overrides(saved, config, overrides)
     saved.resume = str(folder)
     return saved
@@ -45,8 +47,8 @@ def apply_resume_overrides(saved: Config, config: Config, overrides: list[str]) 
     may_change = ("total_frames", "torch_threads", "physics.threads")
     for override in overrides:
         key = override.lstrip("+~").partition("=")[0]
-        if key in ("resume", "logger.root"):
-            # They only say where the run is.
+        if key in ("resume", "logger.root", "plugins"):
+            # They only say where the run is, and what is imported.
             continue
         named = key in ("logger.name", "logger.experiment")
         if named or not (key in may_change or key.startswith("logger.")):

@@ -17,6 +17,7 @@ from skatemount import config as configuration
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
 from skatemount.agents.transfer import load_pretrained
 from skatemount.config import Config
+from skatemount.config.plugins import written
 from skatemount.curriculum.base import make_curriculum
 from skatemount.curriculum.stuck_states import StuckStateBuffer
 from skatemount.envs import MountEnv, MountTask
@@ -346,11 +347,12 @@ def next_commands(run: RunFolder) -> str:
     The suite is the first one that is named after the run's stage; the training's own task if there is none.
     """
     stage = run.config["stage"]["name"] if run.latest is None else checkpoint.read_card(run.latest).stage
-    policy = f"checkpoint={run.path}"
+    plugins = run.config.get("plugins")
+    policy = [f"checkpoint={run.path}", *([written(plugins)] if plugins else [])]
     suite = [f"suite={name}" for name in configuration.suites() if stage in name.split("-")][:1]
     options = configuration.config_dir_options() if suite else []
-    evaluate = ["python", "-m", "skatemount.evaluate", *options, policy, *suite]
-    return f"next:\n  {shlex.join(evaluate)}\n  {shlex.join(['python', '-m', 'skatemount.record', policy])}"
+    evaluate = ["python", "-m", "skatemount.evaluate", *options, *policy, *suite]
+    return f"next:\n  {shlex.join(evaluate)}\n  {shlex.join(['python', '-m', 'skatemount.record', *policy])}"
 
 
 @contextmanager

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, Literal
 
 import pytest
 import torch
@@ -19,18 +21,82 @@ def registry() -> Registry:
 
     @made.register("properties")
     def hop(
-        sim: Tensor, episode: None, context: None, scale: float = 2.0, side: Literal["left", "right"] = "left"
+        sim: SimpleNamespace, episode: None, context: None, scale: float = 2.0, side: Literal["left", "right"] = "left"
     ) -> Tensor:
-        return sim * scale if side == "left" else -sim * scale
+        return sim.base_pos * scale if side == "left" else -sim.base_pos * scale
 
     return made
 
 
 def test_a_term_is_bound_to_its_parameters(registry: Registry) -> None:
     assert registry.names() == ["hop"] and registry.attributes("hop") == "properties"
-    ones = torch.ones(2)
+    ones = SimpleNamespace(base_pos=torch.ones(2))
     assert registry.bind("hop", {})(ones, None, None).tolist() == [2, 2]
     assert registry.bind("hop", {"scale": 3, "side": "right"})(ones, None, None).tolist() == [-3, -3]
+
+
+@pytest.mark.parametrize(
+    ("returned", "expected"),
+    [
+        (lambda sim: sim.base_pos[:, None], "returned float32 of shape [2, 1]; it must return float of shape [2]"),
+        (lambda sim: sim.base_pos > 0, "returned bool of shape [2]; it must return float of shape [2]"),
+        (lambda sim: 1.0, "returned float; it must return float of shape [2]"),
+    ],
+)
+def test_a_wrong_result_of_a_plugins_term_is_an_error(returned: Callable[..., Any], expected: str) -> None:
+    made = Registry("reward")
+
+    @made.register()
+    def hop(sim: SimpleNamespace, episode: None, context: None) -> Tensor:
+        return returned(sim)
+
+    with pytest.raises(ConfigError) as error:
+        made.bind("hop", {})(SimpleNamespace(base_pos=torch.ones(2)), None, None)
+    assert str(error.value) == f"reward.hop of {__name__} {expected}"
+
+
+def test_terms_of_columns_and_flags_have_other_shapes() -> None:
+    sim = SimpleNamespace(base_pos=torch.ones(2))
+    wide = Registry("observation", columns=lambda size, params: size)
+    ends = Registry("termination", flags=True)
+
+    def hop(sim: SimpleNamespace, episode: None, context: None) -> Tensor:
+        return sim.base_pos.expand(3, 2).T
+
+    def high(sim: SimpleNamespace, episode: None, context: None) -> Tensor:
+        return sim.base_pos > 0
+
+    wide.register(3)(hop)
+    ends.register()(high)
+    assert wide.bind("hop", {})(sim, None, None).shape == (2, 3)
+    assert ends.bind("high", {})(sim, None, None).all()
+    ends.register()(hop)
+    with pytest.raises(ConfigError, match=r"returned float32 of shape \[2, 3\]; it must return bool of shape \[2\]"):
+        ends.bind("hop", {})(sim, None, None)
+
+
+def test_a_function_that_is_no_term_is_an_error() -> None:
+    made = Registry("reward")
+
+    def state_first(state: None, episode: None, context: None) -> None: ...
+
+    def untyped(sim: None, episode: None, context: None, size=1.0) -> None: ...
+
+    def required(sim: None, episode: None, context: None, size: float) -> None: ...
+
+    for function, expected in (
+        (state_first, r"takes \(state, episode, context\); a term takes \(sim, episode, context\)"),
+        (untyped, "parameter size needs a type and a default"),
+        (required, "parameter size needs a type and a default"),
+    ):
+        before = made.snapshot()
+        made.register()(function)
+        with pytest.raises(ConfigError, match=f"^reward {function.__name__} of {__name__}.*{expected}"):
+            made.check()
+        with pytest.raises(ConfigError, match=expected):
+            made.bind(function.__name__, {})
+        made.restore(before)
+        assert made.names() == []
 
 
 def test_a_name_is_registered_once(registry: Registry) -> None:

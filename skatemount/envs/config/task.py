@@ -97,6 +97,7 @@ class TaskConfig:
         start: Ranges of the start states.
         command: Settings of the velocity commands.
         randomization: Ranges of randomized physics and pushes.
+        plugins: Modules that register terms of one's own, imported before the tables are checked.
     """
 
     episode_length: float
@@ -110,6 +111,7 @@ class TaskConfig:
     start: StartConfig
     command: CommandConfig
     randomization: RandomizationConfig
+    plugins: list[str]
 
     def __post_init__(self) -> None:
         self.reward = _terms(RewardTerm, self.reward, "reward")

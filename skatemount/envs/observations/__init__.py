@@ -2,6 +2,6 @@
 
 from skatemount.envs.config.terms import ObservationTerm
 from skatemount.envs.observations import terms
-from skatemount.envs.observations.table import OBSERVATIONS, ObservationTable, TermLayout
+from skatemount.envs.observations.table import OBSERVATIONS, ObservationTable, TermLayout, observation
 
-__all__ = ["OBSERVATIONS", "ObservationTable", "ObservationTerm", "TermLayout", "terms"]
+__all__ = ["OBSERVATIONS", "ObservationTable", "ObservationTerm", "TermLayout", "observation", "terms"]

@@ -39,7 +39,7 @@ class TermLayout:
         return self.size if isinstance(self.size, int) else self.size(layout, params)
 
 
-OBSERVATIONS = Registry("observation")
+OBSERVATIONS = Registry("observation", columns=lambda term, layout, params: term.count(layout, params))
 
 
 def observation(size: int | Size, mirror: str | None) -> Callable:
@@ -202,9 +202,25 @@ class ObservationTable:
                     f"{self._where}.{block.name} has no left-right mirror image, which network.symmetric=true needs; "
                     "remove the term or set network.symmetric=false"
                 )
-            permutation, sign = mirror_map(block.mirror, block.size, self._context.layout)
+            permutation, sign = self._mirror_map(block)
             for _ in range(block.frames):
                 permutations.append(permutation + start)
                 signs.append(sign)
                 start += block.size
         return torch.cat(permutations), torch.cat(signs)
+
+    def _mirror_map(self, block: _Block) -> tuple[Tensor, Tensor]:
+        """Return permutation and signs of one frame of a term.
+
+        Raises:
+            ConfigError: The term was registered with a mirror kind that does not exist or is of another size.
+        """
+        where = f"{self._where}.{block.name} of {OBSERVATIONS.module(block.name)}: mirror={block.mirror!r}"
+        assert block.mirror is not None
+        try:
+            permutation, sign = mirror_map(block.mirror, block.size, self._context.layout)
+        except ValueError as error:
+            raise ConfigError(f"{where}: {error}; see skatemount.envs.mirror.mirror_map") from error
+        if not len(permutation) == len(sign) == block.size:
+            raise ConfigError(f"{where}: is no mirror image of a term of size {block.size}")
+        return permutation, sign

@@ -2,6 +2,6 @@
 
 from skatemount.envs.config.terms import RewardTerm
 from skatemount.envs.rewards import board, locomotion
-from skatemount.envs.rewards.table import REWARDS, RewardTable
+from skatemount.envs.rewards.table import REWARDS, RewardTable, event_penalty, penalty, reward
 
-__all__ = ["REWARDS", "RewardTable", "RewardTerm", "board", "locomotion"]
+__all__ = ["REWARDS", "RewardTable", "RewardTerm", "board", "event_penalty", "locomotion", "penalty", "reward"]
