@@ -1,10 +1,47 @@
-"""`python -m skatemount`: which programs there are."""
+"""`skatemount <program> ...` and `python -m skatemount <program> ...`: every program in one command."""
 
-print(
-    "skatemount is used through its programs:\n"
-    "  python -m skatemount.train stage=balance                    train a stage (without one: which there are)\n"
-    "  python -m skatemount.evaluate checkpoint=pretrained:balance  how often a policy succeeds\n"
-    "  python -m skatemount.record checkpoint=pretrained:balance    film it\n"
-    "  python -m skatemount.bench stage=balance                    how fast training is here\n"
-    "Settings: --cfg job prints them all."
-)
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+
+PROGRAMS = {
+    "train": ("stage=balance", "train a stage (without one: which there are)"),
+    "evaluate": ("checkpoint=pretrained:balance", "how often a policy succeeds"),
+    "record": ("checkpoint=pretrained:balance", "film it"),
+    "bench": ("stage=balance", "how fast training is here"),
+    "list": ("stages", "stages, suites, boards, policies, terms, ..."),
+}
+"""Arguments of an example and a description for each program."""
+
+
+def help_text() -> str:
+    """Return what programs there are."""
+    lines = ["skatemount is used through its programs:"]
+    for name, (example, about) in PROGRAMS.items():
+        lines.append(f"  {f'skatemount {name} {example}':52}{about}")
+    lines.append(
+        "python -m skatemount.train is the same as skatemount train, and so on. --cfg job prints all settings."
+    )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run the program that the first argument names, with the rest of the command line."""
+    # A script lies in another folder; with `python -m`, modules of the working directory can be imported.
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    name = sys.argv[1] if len(sys.argv) > 1 else "--help"
+    if name in ("--help", "-h"):
+        print(help_text())
+        return
+    if name not in PROGRAMS:
+        print(f"skatemount: there is no program {name}; there are: {', '.join(PROGRAMS)}", file=sys.stderr)
+        sys.exit(2)
+    sys.argv = [f"{sys.argv[0]} {name}", *sys.argv[2:]]
+    importlib.import_module("skatemount.listing" if name == "list" else f"skatemount.{name}").main()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+"""`skatemount list <kind>`: the stages, suites, robots, boards, policies and terms that there are."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable, Sequence
+
+import yaml
+
+from skatemount import config as configuration
+from skatemount.cli import config_dir_of
+from skatemount.config.files import choices, find_file
+from skatemount.config.plugins import import_plugins
+from skatemount.runs.shipped import PRETRAINED, shipped_file, shipped_policies
+from skatemount.utils.errors import ConfigError
+from skatemount.utils.formatting import format_count
+
+
+def _of_group(group: str) -> dict[str, str]:
+    """Return a group's choices with the first sentence of each file's comment."""
+    found = {}
+    for name in choices(group):
+        lines = []
+        for line in find_file(group, name).read_text(encoding="utf-8").splitlines():
+            if not line.startswith("#"):
+                break
+            if not line.startswith("# @package"):
+                lines.append(line.lstrip("# "))
+        found[name] = re.split(r"(?<=[.:])\s", " ".join(lines))[0].rstrip(".:")
+    return found
+
+
+def _policies() -> dict[str, str]:
+    """Return the shipped policies with the stage and the length of their training."""
+    found = {}
+    for name in shipped_policies():
+        file = shipped_file(name.removeprefix(PRETRAINED))
+        assert file is not None
+        card = json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
+        found[name] = f"trained in stage {card['stage']}, {format_count(card['frames'])} steps"
+    return found
+
+
+def _rewards() -> dict[str, str]:
+    from skatemount.envs.rewards import REWARDS
+
+    return {name: REWARDS.description(name) for name in REWARDS.names()}
+
+
+def _observations() -> dict[str, str]:
+    from skatemount.envs.observations import OBSERVATIONS
+
+    return {name: OBSERVATIONS.description(name) for name in OBSERVATIONS.names()}
+
+
+def _terminations() -> dict[str, str]:
+    from skatemount.envs.terminations import TERMINATIONS
+
+    return {name: TERMINATIONS.description(name) for name in TERMINATIONS.names()}
+
+
+KINDS: dict[str, tuple[str, Callable[[], dict[str, str]]]] = {
+    "stages": ("what to train: stage=<name>", configuration.stages),
+    "suites": ("tests of MountBench: suite=<name>", configuration.suites),
+    "robots": ("robot=<name>", lambda: _of_group("robot")),
+    "boards": ("board=<name>", lambda: _of_group("board")),
+    "policies": ("shipped policies: checkpoint=<name>, init_from=<name>", _policies),
+    "rewards": ("terms: reward.<name>.weight=<size>", _rewards),
+    "observations": ("terms: observation.policy.<name>={}", _observations),
+    "terminations": ("terms: termination.<name>={}", _terminations),
+    "curricula": ("order of the start states: curriculum=<name>", lambda: _of_group("curriculum")),
+    "experiments": ("settings that belong together: experiment=<name>", lambda: _of_group("experiment")),
+}
+"""What can be listed: a line about each kind, and the function that returns its names with their descriptions."""
+
+
+def listed(arguments: Sequence[str]) -> str:
+    """Return the table that a command line asks for.
+
+    Args:
+        arguments: The kind, and in any order ``--config-dir <folder>`` and ``plugins=[...]``; without a kind the table
+            says what can be listed.
+
+    Raises:
+        ConfigError: An unknown kind or argument, or a folder or plugin that cannot be used.
+    """
+    configuration.set_user_config_dir(config_dir_of(arguments))
+    kinds, plugins, is_value = [], [], False
+    for argument in arguments:
+        if is_value:
+            is_value = False
+        elif argument in ("--config-dir", "-cd"):
+            is_value = True
+        elif argument.startswith("plugins="):
+            plugins = _plugins(argument)
+        elif argument in KINDS:
+            kinds.append(argument)
+        elif not argument.startswith(("--config-dir=", "-cd=")) and argument not in ("--help", "-h"):
+            raise ConfigError(f"{argument} cannot be listed; there are: {', '.join(KINDS)}")
+    import_plugins(plugins)
+    if not kinds:
+        return "skatemount list <kind>\n\n" + _table({name: about for name, (about, _) in KINDS.items()})
+    return "\n\n".join(_table(KINDS[kind][1]()) for kind in kinds)
+
+
+def _plugins(argument: str) -> list[str]:
+    """Return the names in ``plugins=[...]``."""
+    try:
+        names = yaml.safe_load(argument.partition("=")[2])
+    except yaml.YAMLError:
+        names = None
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ConfigError(f"{argument} must be a list such as [a, b]")
+    return names
+
+
+def _table(rows: dict[str, str]) -> str:
+    width = max(map(len, rows), default=0)
+    return "\n".join(f"{name:{width}}  {about}".rstrip() for name, about in rows.items())
+
+
+def main() -> None:
+    """Run the program."""
+    try:
+        print(listed(sys.argv[1:]))
+    except (ConfigError, OSError) as error:
+        print(f"skatemount.list: {error}", file=sys.stderr)
+        sys.exit(2)
