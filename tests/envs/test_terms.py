@@ -14,6 +14,9 @@ from skatemount.envs import MountTask
 from skatemount.envs.terms import Registry, TaskContext
 from skatemount.utils.errors import ConfigError
 
+CONTEXT = SimpleNamespace(layout=None)
+"""The part of a context that the registry itself looks at."""
+
 
 @pytest.fixture
 def registry() -> Registry:
@@ -31,8 +34,8 @@ def registry() -> Registry:
 def test_a_term_is_bound_to_its_parameters(registry: Registry) -> None:
     assert registry.names() == ["hop"] and registry.attributes("hop") == "properties"
     ones = SimpleNamespace(base_pos=torch.ones(2))
-    assert registry.bind("hop", {})(ones, None, None).tolist() == [2, 2]
-    assert registry.bind("hop", {"scale": 3, "side": "right"})(ones, None, None).tolist() == [-3, -3]
+    assert registry.bind("hop", {})(ones, None, CONTEXT).tolist() == [2, 2]
+    assert registry.bind("hop", {"scale": 3, "side": "right"})(ones, None, CONTEXT).tolist() == [-3, -3]
 
 
 @pytest.mark.parametrize(
@@ -51,13 +54,13 @@ def test_a_wrong_result_of_a_plugins_term_is_an_error(returned: Callable[..., An
         return returned(sim)
 
     with pytest.raises(ConfigError) as error:
-        made.bind("hop", {})(SimpleNamespace(base_pos=torch.ones(2)), None, None)
+        made.bind("hop", {})(SimpleNamespace(base_pos=torch.ones(2)), None, CONTEXT)
     assert str(error.value) == f"reward.hop of {__name__} {expected}"
 
 
 def test_terms_of_columns_and_flags_have_other_shapes() -> None:
     sim = SimpleNamespace(base_pos=torch.ones(2))
-    wide = Registry("observation", columns=lambda size, params: size)
+    wide = Registry("observation", columns=lambda size, layout, params: size)
     ends = Registry("termination", flags=True)
 
     def hop(sim: SimpleNamespace, episode: None, context: None) -> Tensor:
@@ -68,11 +71,11 @@ def test_terms_of_columns_and_flags_have_other_shapes() -> None:
 
     wide.register(3)(hop)
     ends.register()(high)
-    assert wide.bind("hop", {})(sim, None, None).shape == (2, 3)
-    assert ends.bind("high", {})(sim, None, None).all()
+    assert wide.bind("hop", {})(sim, None, CONTEXT).shape == (2, 3)
+    assert ends.bind("high", {})(sim, None, CONTEXT).all()
     ends.register()(hop)
     with pytest.raises(ConfigError, match=r"returned float32 of shape \[2, 3\]; it must return bool of shape \[2\]"):
-        ends.bind("hop", {})(sim, None, None)
+        ends.bind("hop", {})(sim, None, CONTEXT)
 
 
 def test_a_function_that_is_no_term_is_an_error() -> None:

@@ -17,7 +17,7 @@ class JointLayout:
         joints: Names of the J joints, as a policy's card says them.
         legs: Short names of the F legs, for labels.
         feet: Names of the F feet.
-        bodies: Names of the B bodies that can touch something besides the feet, the trunk first.
+        bodies: Names of the B bodies that can touch something in addition to the feet, the trunk first.
         mirror_legs: For each leg the index of its left-right mirror image.
         mirror_joints: For each joint the index of its mirror image.
         joint_signs: For each joint the sign, 1 or -1, of its mirror image's angle.
@@ -82,7 +82,7 @@ class JointLayout:
 
     @property
     def num_bodies(self) -> int:
-        """Number of bodies that can touch something besides the feet, B."""
+        """Number of bodies that can touch something in addition to the feet, B."""
         return len(self.bodies)
 
     @property
