@@ -73,7 +73,7 @@ KINDS: dict[str, tuple[str, Callable[[], dict[str, str]]]] = {
     "curricula": ("order of the start states: curriculum=<name>", lambda: _of_group("curriculum")),
     "experiments": ("settings that belong together: experiment=<name>", lambda: _of_group("experiment")),
 }
-"""What can be listed: a line about each kind, and the function that returns its names with their descriptions."""
+"""The kinds that can be listed: a line about each, and a function that returns its names with their descriptions."""
 
 
 def listed(arguments: Sequence[str]) -> str:

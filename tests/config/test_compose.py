@@ -31,13 +31,7 @@ from skatemount.runs.find import find_checkpoint
 from skatemount.utils.errors import ConfigError
 
 STAGES = list(stages())
-OPTIONS = [
-    f"{group}={name}"
-    for group in groups("train")
-    if group not in ("stage", "experiment")
-    for name in choices(group)
-    if not (group == "curriculum" and name == "auto")
-]
+OPTIONS = [f"{group}={name}" for group in groups("train") if group != "stage" for name in choices(group)]
 
 
 @functools.cache
