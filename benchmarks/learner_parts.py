@@ -30,7 +30,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 
-from skatemount.config import Config, compose
+from skatemount.config import TrainConfig, compose
 from skatemount.envs import MountTask
 from skatemount.envs.mdp import Mdp
 from skatemount.losses.ppo import PPO
@@ -85,7 +85,7 @@ VARIANTS: dict[str, Callable[[], contextlib.AbstractContextManager[None]]] = {
 }
 
 
-def make_update(config: Config, mdp: Mdp, batch: TensorDictBase) -> Callable[[], None]:
+def make_update(config: TrainConfig, mdp: Mdp, batch: TensorDictBase) -> Callable[[], None]:
     """Return a function that updates new networks from a batch, with actions of these networks."""
     torch.manual_seed(0)
     networks = make_networks(config, mdp)
@@ -99,7 +99,7 @@ def make_update(config: Config, mdp: Mdp, batch: TensorDictBase) -> Callable[[],
     return update
 
 
-def measure(config: Config, worlds: int, steps: int, rounds: int) -> dict[str, list[float]]:
+def measure(config: TrainConfig, worlds: int, steps: int, rounds: int) -> dict[str, list[float]]:
     """Return the CPU seconds of each variant's update in every round; a first round warms up and is left out."""
     mdp = MountTask(config=config).make_mdp(torch.Generator())
     batch = random_batch(mdp, worlds, steps)

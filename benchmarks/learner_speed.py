@@ -27,7 +27,7 @@ from rsl_rl.models import MLPModel
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict, TensorDictBase
 
-from skatemount.config import Config, compose
+from skatemount.config import TrainConfig, compose
 from skatemount.envs import MountTask
 from skatemount.envs.mdp import Mdp
 from skatemount.envs.physics.cpu import available_cores
@@ -38,7 +38,7 @@ from skatemount.utils.memory import disable_malloc_trim
 ACTIONS = 12
 
 
-def ours(config: Config, mdp: Mdp, batch: TensorDictBase) -> Callable[[], None]:
+def ours(config: TrainConfig, mdp: Mdp, batch: TensorDictBase) -> Callable[[], None]:
     """Return a function that updates our networks from a batch, with actions of these networks."""
     networks = make_networks(config, mdp)
     ppo = PPO(config.algorithm, networks, 0.04, bf16=config.precision == "bf16")
@@ -47,7 +47,7 @@ def ours(config: Config, mdp: Mdp, batch: TensorDictBase) -> Callable[[], None]:
     return lambda: ppo.update(batch.clone(recurse=False)) and None
 
 
-def theirs(config: Config, batch: TensorDictBase) -> Callable[[], None]:
+def theirs(config: TrainConfig, batch: TensorDictBase) -> Callable[[], None]:
     """Return a function that updates rsl_rl's networks from a batch."""
     worlds, steps = batch.shape
     algorithm, network = config.algorithm, config.network

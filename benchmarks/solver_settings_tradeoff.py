@@ -28,7 +28,7 @@ from typing import Any
 import torch
 
 from skatemount.agents.trained_policy import TrainedPolicy
-from skatemount.config import Config
+from skatemount.config import TrainConfig
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.physics.base import Physics
 from skatemount.envs.physics.factory import make_physics
@@ -64,7 +64,7 @@ class Stepper:
         worlds: Number of worlds.
     """
 
-    def __init__(self, config: Config, changes: dict[str, Any], worlds: int):
+    def __init__(self, config: TrainConfig, changes: dict[str, Any], worlds: int):
         task = MountTask(config=changed(config, changes))
         self._substeps = task.config.physics.substeps
         self.physics: Physics = make_physics(task.scene, task.config.physics, num_worlds=worlds)
@@ -88,7 +88,7 @@ class Stepper:
         return steps * self.physics.num_worlds / spent
 
 
-def changed(config: Config, changes: dict[str, Any]) -> Config:
+def changed(config: TrainConfig, changes: dict[str, Any]) -> TrainConfig:
     """Return a copy of settings with changed physics."""
     return replace(config, physics=replace(config.physics, **changes))
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from skatemount.config import Config
+    from skatemount.config import TrainConfig
 
 
-def train(config: Config, overrides: list[str]) -> None:
+def train(config: TrainConfig, overrides: list[str]) -> None:
     """Train a stage, or a chain of stages, and print the evaluated success of the final policy.
 
     Args:

@@ -7,7 +7,7 @@ import dataclasses
 import functools
 from typing import Any
 
-from skatemount.config import Config, compose
+from skatemount.config import TrainConfig, compose
 from skatemount.curriculum.config import CurriculumConfig
 from skatemount.envs.config.board import SkateboardConfig
 from skatemount.envs.config.commands import CommandConfig
@@ -24,7 +24,7 @@ LAYOUT = JointLayout.of(A1)
 
 
 @functools.cache
-def _composed() -> Config:
+def _composed() -> TrainConfig:
     return compose("mount", ["randomization=none"])
 
 

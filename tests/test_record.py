@@ -14,7 +14,7 @@ import torch
 from PIL import Image
 
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
-from skatemount.config import Config, compose, compose_program, to_dict
+from skatemount.config import TrainConfig, compose, compose_program, to_dict
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import Evaluator
@@ -31,7 +31,7 @@ needs_opengl = pytest.mark.skipif(
 )
 
 
-def make_networks(config: Config) -> ActorCritic:
+def make_networks(config: TrainConfig) -> ActorCritic:
     mdp = MountTask(config=config).make_mdp(torch.Generator())
     return ActorCritic(config.network, mdp.observation.size, mdp.privileged.size, mdp.context.layout.num_joints)
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from skatemount import config as configuration
 from skatemount.agents.interface import action_interface, observation_layout
 from skatemount.agents.policy import Policy
-from skatemount.config import Config
+from skatemount.config import TrainConfig
 from skatemount.envs.task import MountTask
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.models.normalization import is_old_count
@@ -39,7 +39,7 @@ class TrainedPolicy:
     """
 
     networks: ActorCritic
-    config: Config
+    config: TrainConfig
     card: PolicyCard
     path: Path
 
@@ -129,7 +129,9 @@ def load_weights(networks: ActorCritic, modules: Mapping[str, Mapping[str, Tenso
     networks.load_state_dict(saved)
 
 
-def make_policy_card(config: Config, task: MountTask, frames: int, metrics: dict[str, Any] | None = None) -> PolicyCard:
+def make_policy_card(
+    config: TrainConfig, task: MountTask, frames: int, metrics: dict[str, Any] | None = None
+) -> PolicyCard:
     """Return the card of a policy.
 
     Args:

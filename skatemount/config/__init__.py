@@ -13,11 +13,11 @@ from skatemount.config.files import (
 )
 from skatemount.config.messages import one_line
 from skatemount.config.programs import BenchProgramConfig, EvaluateConfig, PolicyConfig, RecordConfig
-from skatemount.config.schema import Config
+from skatemount.config.schema import TrainConfig
 
 __all__ = [
     "BenchProgramConfig",
-    "Config",
+    "TrainConfig",
     "EvaluateConfig",
     "PolicyConfig",
     "RecordConfig",

@@ -21,7 +21,7 @@ from skatemount.config.messages import one_line
 from skatemount.config.overrides import prepare
 from skatemount.config.plugins import import_plugins, require_plugins
 from skatemount.config.programs import PROGRAMS
-from skatemount.config.schema import Config
+from skatemount.config.schema import TrainConfig
 from skatemount.config.versions import FORMAT, upgrade
 from skatemount.envs.config.task import TaskConfig
 from skatemount.utils.errors import ConfigError
@@ -29,7 +29,9 @@ from skatemount.utils.errors import ConfigError
 _WRITTEN_WITH_EXPONENT = re.compile(r"[+-]?\d+(\.\d*)?[eE]\+?\d+")
 
 
-def compose(stage: str | None = None, overrides: Sequence[str] = (), config_dir: Path | str | None = None) -> Config:
+def compose(
+    stage: str | None = None, overrides: Sequence[str] = (), config_dir: Path | str | None = None
+) -> TrainConfig:
     """Compose the settings of a training from Python; works inside a running Hydra application, too.
 
     Args:
@@ -46,7 +48,7 @@ def compose(stage: str | None = None, overrides: Sequence[str] = (), config_dir:
             check_choice("stage", stage)
             overrides = [f"stage={stage}", *overrides]
         config = compose_program("train", overrides)
-    assert isinstance(config, Config)
+    assert isinstance(config, TrainConfig)
     return config
 
 
@@ -181,7 +183,7 @@ def _wrong_type(error: OmegaConfBaseException, values: dict[str, Any], schema: t
     return f"{key}={'null' if value is None else value} must be {in_words(hint)}"
 
 
-def from_dict(values: dict[str, Any], own: bool = False, where: str = "saved settings") -> Config:
+def from_dict(values: dict[str, Any], own: bool = False, where: str = "saved settings") -> TrainConfig:
     """Return the settings that a run or a policy card has saved.
 
     Args:
@@ -196,11 +198,11 @@ def from_dict(values: dict[str, Any], own: bool = False, where: str = "saved set
         config = checked(upgrade(values), "train", None if own else "not a run of your own")
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from error
-    assert isinstance(config, Config)
+    assert isinstance(config, TrainConfig)
     return config
 
 
-def to_dict(config: Config) -> dict[str, Any]:
+def to_dict(config: TrainConfig) -> dict[str, Any]:
     """Return settings as plain values, with the format that they are in."""
     values = OmegaConf.to_container(OmegaConf.structured(config))
     assert isinstance(values, dict)

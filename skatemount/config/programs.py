@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from skatemount.config.bench import BenchConfig
 from skatemount.config.film import FilmConfig
-from skatemount.config.schema import Config, check_root, check_seed
+from skatemount.config.schema import TrainConfig, check_root, check_seed
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.config.task import TaskConfig
 from skatemount.utils.errors import ConfigError
@@ -100,7 +100,7 @@ class RecordConfig(PolicyConfig):
 
 
 @dataclass
-class BenchProgramConfig(Config):
+class BenchProgramConfig(TrainConfig):
     """Settings of `python -m skatemount.bench`; ``conf/bench.yaml`` has the defaults.
 
     Attributes:
@@ -119,15 +119,15 @@ class BenchProgramConfig(Config):
         self.bench.validate("bench")
 
     @property
-    def training(self) -> Config:
+    def training(self) -> TrainConfig:
         """The settings of the training that is measured."""
-        return Config(**{field.name: getattr(self, field.name) for field in dataclasses.fields(Config)})
+        return TrainConfig(**{field.name: getattr(self, field.name) for field in dataclasses.fields(TrainConfig)})
 
 
 MAX_EPISODE = 2**40
 
 PROGRAMS: dict[str, type[TaskConfig]] = {
-    "train": Config,
+    "train": TrainConfig,
     "evaluate": EvaluateConfig,
     "record": RecordConfig,
     "bench": BenchProgramConfig,

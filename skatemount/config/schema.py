@@ -108,7 +108,7 @@ class LoggerConfig:
 
 
 @dataclass
-class Config(TaskConfig):
+class TrainConfig(TaskConfig):
     """Settings of a training; ``conf/train.yaml`` has the defaults.
 
     Attributes:

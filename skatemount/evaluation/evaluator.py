@@ -13,7 +13,7 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from skatemount.agents.policy import Policy
-from skatemount.config import Config
+from skatemount.config import TrainConfig
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.records import EpisodeRecords, EpisodeTracker
@@ -61,7 +61,7 @@ class Evaluator:
         env: The environment.
     """
 
-    def __init__(self, config: Config, num_worlds: int | None = None, seed: int = EVALUATION_SEED) -> None:
+    def __init__(self, config: TrainConfig, num_worlds: int | None = None, seed: int = EVALUATION_SEED) -> None:
         self.config = config
         self.seed = seed
         self.env = MountEnv(MountTask(config=config), num_worlds=num_worlds, seed=seed)

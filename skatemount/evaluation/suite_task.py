@@ -17,7 +17,7 @@ from skatemount import config as configuration
 from skatemount.agents.interface import check_interface
 from skatemount.agents.switching import SwitchingAgent
 from skatemount.agents.trained_policy import TrainedPolicy
-from skatemount.config import Config, PolicyConfig
+from skatemount.config import PolicyConfig, TrainConfig
 from skatemount.config.files import load_file
 from skatemount.config.keys import keys
 from skatemount.config.plugins import written
@@ -48,7 +48,7 @@ class EvaluationTask:
     agent: TrainedPolicy
     name: str
     suite: SuiteConfig | None
-    configs: dict[str, Config]
+    configs: dict[str, TrainConfig]
     overrides: list[str]
     seed: int
 
@@ -243,8 +243,8 @@ def members_of(suite_config: SuiteConfig) -> list[SuiteConfig]:
 
 
 def evaluation_config(
-    policy: Config, suite: SuiteConfig | None, overrides: Sequence[str] = (), variant: Sequence[str] = ()
-) -> Config:
+    policy: TrainConfig, suite: SuiteConfig | None, overrides: Sequence[str] = (), variant: Sequence[str] = ()
+) -> TrainConfig:
     """Compose the settings that a policy is evaluated in.
 
     1. Without a suite they are those of the policy's training. With a suite they are those of the suite's stage, except
@@ -293,7 +293,7 @@ def evaluation_config(
     return configuration.from_dict(values)
 
 
-def _stage(name: str) -> Config:
+def _stage(name: str) -> TrainConfig:
     """Compose a stage's settings; Hydra's work is cached, as many suites share a stage."""
     return configuration.compose(name)
 

@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 
 from skatemount import config as configuration
-from skatemount.config import Config
+from skatemount.config import TrainConfig
 from skatemount.curriculum.config import StageLink
 from skatemount.evaluation import report
 from skatemount.runs import atomic
@@ -49,7 +49,7 @@ class Part:
     name: str
     folder: Path
     link: StageLink
-    config: Config
+    config: TrainConfig
 
     @property
     def latest(self) -> Path | None:
@@ -89,8 +89,8 @@ class Chain:
     def __init__(
         self,
         run: RunFolder,
-        config: Config,
-        stages: dict[str, Config],
+        config: TrainConfig,
+        stages: dict[str, TrainConfig],
         overrides: list[str],
         callbacks: Sequence[Callback] = (),
     ):
@@ -105,7 +105,7 @@ class Chain:
         self._evaluated: dict[str, dict[str, Any]] = {}
 
     @classmethod
-    def begin(cls, config: Config, overrides: list[str], callbacks: Sequence[Callback] = ()) -> Chain:
+    def begin(cls, config: TrainConfig, overrides: list[str], callbacks: Sequence[Callback] = ()) -> Chain:
         """Compose the settings of every stage, and create the run folder.
 
         Args:
@@ -135,7 +135,9 @@ class Chain:
         return cls(run, config, stages, overrides, callbacks)
 
     @classmethod
-    def resume(cls, run: RunFolder, config: Config, overrides: list[str], callbacks: Sequence[Callback] = ()) -> Chain:
+    def resume(
+        cls, run: RunFolder, config: TrainConfig, overrides: list[str], callbacks: Sequence[Callback] = ()
+    ) -> Chain:
         """Open a chain that was stopped.
 
         Args:
@@ -269,7 +271,7 @@ class Chain:
             plot_chain(tables, self.run.curves_png, self.run.path.name)
 
 
-def chain_to_train(config: Config, overrides: Sequence[str], callbacks: Sequence[Callback] = ()) -> Chain | None:
+def chain_to_train(config: TrainConfig, overrides: Sequence[str], callbacks: Sequence[Callback] = ()) -> Chain | None:
     """Return the chain that the command line asks for, new or resumed; None if it asks for a single stage.
 
     Args:

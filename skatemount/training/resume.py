@@ -6,13 +6,13 @@ import functools
 from pathlib import Path
 
 from skatemount import config as configuration
-from skatemount.config import Config
+from skatemount.config import TrainConfig
 from skatemount.runs.find import find_checkpoint, is_own_run
 from skatemount.runs.folder import RunFolder
 from skatemount.utils.errors import ConfigError
 
 
-def resume_config(config: Config, overrides: list[str]) -> Config:
+def resume_config(config: TrainConfig, overrides: list[str]) -> TrainConfig:
     """Return the settings that a resumed run saved, with the changes of the command line.
 
     Args:
@@ -33,7 +33,7 @@ def resume_config(config: Config, overrides: list[str]) -> Config:
     return saved
 
 
-def apply_resume_overrides(saved: Config, config: Config, overrides: list[str]) -> None:
+def apply_resume_overrides(saved: TrainConfig, config: TrainConfig, overrides: list[str]) -> None:
     """Apply those overrides to a run's saved settings that may change in the middle of a run.
 
     Args:

@@ -16,7 +16,7 @@ from torchrl.collectors import Collector
 from skatemount import config as configuration
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
 from skatemount.agents.transfer import load_pretrained
-from skatemount.config import Config
+from skatemount.config import TrainConfig
 from skatemount.config.plugins import written
 from skatemount.curriculum.base import make_curriculum
 from skatemount.curriculum.stuck_states import StuckStateBuffer
@@ -39,7 +39,7 @@ from skatemount.utils.errors import ConfigError
 from skatemount.utils.memory import disable_malloc_trim
 
 
-def set_up_process(config: Config) -> None:
+def set_up_process(config: TrainConfig) -> None:
     """Set torch's threads and matrix precision, and the memory allocator, for this process."""
     # Physics and torch take turns, so both may use every core.
     disable_malloc_trim()
@@ -47,7 +47,7 @@ def set_up_process(config: Config) -> None:
     torch.set_float32_matmul_precision("highest" if config.precision == "highest" else "medium")
 
 
-def make_networks(config: Config, mdp: Mdp) -> ActorCritic:
+def make_networks(config: TrainConfig, mdp: Mdp) -> ActorCritic:
     """Return untrained networks for the observations and actions of a task."""
     observation, privileged, layout = mdp.observation, mdp.privileged, mdp.context.layout
     reflections = None
@@ -89,7 +89,7 @@ class Trainer:
 
     def __init__(
         self,
-        config: Config,
+        config: TrainConfig,
         overrides: list[str] | None = None,
         parent: RunFolder | None = None,
         callbacks: Iterable[Callback] = (),

@@ -11,7 +11,7 @@ from tensordict import TensorDict
 
 from skatemount.agents.switching import MARGIN, SwitchingAgent, SwitchingPolicy
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
-from skatemount.config import Config, compose, compose_program
+from skatemount.config import TrainConfig, compose, compose_program
 from skatemount.envs import MountTask
 from skatemount.envs.mount_env import MountEnv
 from skatemount.evaluation.suite_task import EvaluationTask
@@ -37,7 +37,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("policies")
     observations = {"walk": "default", "mount": "default", "past": "history", "blind": "compact"}
     for seed, (name, observation) in enumerate(observations.items()):
-        config: Config = compose("unfixed", ["network.actor=[8]", "network.critic=[8]", f"observation={observation}"])
+        config: TrainConfig = compose(
+            "unfixed", ["network.actor=[8]", "network.critic=[8]", f"observation={observation}"]
+        )
         task = MountTask(config=config)
         mdp = task.make_mdp(torch.Generator())
         torch.manual_seed(seed)

@@ -9,7 +9,7 @@ import torch
 
 from skatemount.agents.interface import check_interface
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, load_weights, make_policy_card
-from skatemount.config import Config, compose
+from skatemount.config import TrainConfig, compose
 from skatemount.envs.task import MountTask
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.runs.checkpoint import save_policy
@@ -18,22 +18,22 @@ from skatemount.utils.errors import ConfigError
 TINY = ["network.actor=[8]", "network.critic=[6]", "physics.threads=1"]
 
 
-def make_networks(config: Config) -> ActorCritic:
+def make_networks(config: TrainConfig) -> ActorCritic:
     mdp = MountTask(config=config).make_mdp(torch.Generator())
     return ActorCritic(config.network, mdp.observation.size, mdp.privileged.size, mdp.context.layout.num_joints)
 
 
 @pytest.fixture(scope="module")
-def config() -> Config:
+def config() -> TrainConfig:
     return compose("mount", [*TINY, "observation=compact"])
 
 
 @pytest.fixture(scope="module")
-def task(config: Config) -> MountTask:
+def task(config: TrainConfig) -> MountTask:
     return MountTask(config=config)
 
 
-def test_loads_what_was_saved(config: Config, task: MountTask, tmp_path: Path) -> None:
+def test_loads_what_was_saved(config: TrainConfig, task: MountTask, tmp_path: Path) -> None:
     networks = make_networks(config)
     for parameter in networks.parameters():
         torch.nn.init.normal_(parameter)
@@ -52,7 +52,7 @@ def test_loads_what_was_saved(config: Config, task: MountTask, tmp_path: Path) -
     check_interface(agent.card, task)
 
 
-def test_a_card_without_joints_is_named(config: Config, task: MountTask, tmp_path: Path) -> None:
+def test_a_card_without_joints_is_named(config: TrainConfig, task: MountTask, tmp_path: Path) -> None:
     card = make_policy_card(config, task, frames=0)
     del card.action["joints"]
     path = tmp_path / "p.safetensors"
@@ -61,7 +61,7 @@ def test_a_card_without_joints_is_named(config: Config, task: MountTask, tmp_pat
         TrainedPolicy.load(str(path))
 
 
-def test_card_says_what_is_seen_and_done(config: Config, task: MountTask) -> None:
+def test_card_says_what_is_seen_and_done(config: TrainConfig, task: MountTask) -> None:
     card = make_policy_card(config, task, frames=0)
     sizes = {"observation": 0, "privileged": 0}
     for part in card.observation:
@@ -89,7 +89,7 @@ def test_card_says_what_is_seen_and_done(config: Config, task: MountTask) -> Non
         ("robot.action_clip=3", "clip=6.0, the task's 3.0"),
     ],
 )
-def test_a_task_that_differs_is_named(config: Config, task: MountTask, override: str, said: str) -> None:
+def test_a_task_that_differs_is_named(config: TrainConfig, task: MountTask, override: str, said: str) -> None:
     card = make_policy_card(config, task, frames=0)
     other = MountTask(config=compose("mount", [*TINY, "observation=compact", override]))
     with pytest.raises(ConfigError) as error:
@@ -99,13 +99,13 @@ def test_a_task_that_differs_is_named(config: Config, task: MountTask, override:
     assert "\n" not in str(error.value)
 
 
-def test_what_is_no_part_of_the_interface_may_differ(config: Config, task: MountTask) -> None:
+def test_what_is_no_part_of_the_interface_may_differ(config: TrainConfig, task: MountTask) -> None:
     other = compose("unfixed", [*TINY, "observation=compact", "board=longboard", "robot.kp=25"])
     other.observation.noise = False
     check_interface(make_policy_card(config, task, frames=0), MountTask(config=other))
 
 
-def test_weights_that_do_not_fit_are_named(config: Config) -> None:
+def test_weights_that_do_not_fit_are_named(config: TrainConfig) -> None:
     networks = make_networks(config)
     saved = networks.state_dict()
     key = next(k for k in saved if k.endswith("0.weight"))

@@ -7,18 +7,18 @@ import functools
 import json
 import math
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import hydra
 import pytest
 import torch
 import yaml
+from composed import one_line, stage_config
 
 import skatemount
 from skatemount import config as configuration
 from skatemount.config import (
-    Config,
+    TrainConfig,
     compose,
     config_dir,
     from_dict,
@@ -32,24 +32,6 @@ from skatemount.utils.errors import ConfigError
 
 STAGES = list(stages())
 OPTIONS = [f"{group}={name}" for group in groups("train") if group != "stage" for name in choices(group)]
-
-
-@functools.cache
-def stage_config(stage: str) -> Config:
-    return compose(stage)
-
-
-@pytest.fixture(autouse=True)
-def forget_where_the_settings_lie() -> Iterator[None]:
-    yield
-    config_dir.cache_clear()
-
-
-def one_line(error: pytest.ExceptionInfo[ConfigError]) -> str:
-    text = str(error.value)
-    assert text and "\n" not in text
-    assert "$VALUE" not in text and len(text) < 800
-    return text
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -246,7 +228,7 @@ def test_survives_being_saved() -> None:
     assert from_dict(values) == config
     assert from_dict(json.loads(json.dumps(values))) == config
     assert from_dict(yaml.safe_load(yaml.safe_dump(values))) == config
-    assert isinstance(from_dict(values), Config)
+    assert isinstance(from_dict(values), TrainConfig)
 
 
 @pytest.mark.parametrize(

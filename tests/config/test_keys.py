@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from composed import one_line, stage_config
 
 import skatemount
 from skatemount.config import (
     BenchProgramConfig,
-    Config,
     EvaluateConfig,
     RecordConfig,
+    TrainConfig,
     compose,
     compose_program,
     config_dir,
@@ -25,24 +24,6 @@ from skatemount.config.programs import PROGRAMS
 from skatemount.config.versions import RENAMED
 from skatemount.envs.task import MountTask
 from skatemount.utils.errors import ConfigError
-
-
-@functools.cache
-def stage_config(stage: str) -> Config:
-    return compose(stage)
-
-
-@pytest.fixture(autouse=True)
-def forget_where_the_settings_lie() -> Iterator[None]:
-    yield
-    config_dir.cache_clear()
-
-
-def one_line(error: pytest.ExceptionInfo[ConfigError]) -> str:
-    text = str(error.value)
-    assert text and "\n" not in text
-    assert "$VALUE" not in text and len(text) < 800
-    return text
 
 
 def test_whole_numbers_may_have_an_exponent() -> None:
@@ -122,7 +103,7 @@ def test_a_plus_before_a_group_changes_nothing() -> None:
 
 def test_old_names_of_settings_still_work() -> None:
     for old, new in RENAMED.items():
-        if new in keys(Config):
+        if new in keys(TrainConfig):
             value = {"algorithm.final_kl": 0.001, "algorithm.settle": 0.5, "collector.enough": 2}.get(old, 0.37)
             value = {"collector.steps": 7, "curriculum.memory": 90, "grow": "true"}.get(old, value)
             value = {"curriculum.lowest": 0.001, "curriculum.least": 3, "logger.csv": "false"}.get(old, value)
@@ -131,7 +112,7 @@ def test_old_names_of_settings_still_work() -> None:
 
 def test_every_setting_has_exactly_one_default() -> None:
     """YAML has a value for each, and no dataclass has one."""
-    for schema in (Config, EvaluateConfig, RecordConfig, BenchProgramConfig, *PARTS):
+    for schema in (TrainConfig, EvaluateConfig, RecordConfig, BenchProgramConfig, *PARTS):
         assert all(f.default is f.default_factory is dataclasses.MISSING for f in dataclasses.fields(schema)), schema
     for program in PROGRAMS:
         compose_program(program, [])  # nothing is missing

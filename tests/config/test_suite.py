@@ -8,7 +8,7 @@ from collections import Counter
 import pytest
 import torch
 
-from skatemount.config import Config, EvaluateConfig, check_choice, compose, compose_program, suites, to_dict
+from skatemount.config import EvaluateConfig, TrainConfig, check_choice, compose, compose_program, suites, to_dict
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.suite_task import evaluation_config, load_suite, members_of
@@ -19,7 +19,7 @@ ONES = [name for name in suites() if name != "all"]
 
 
 @functools.cache
-def task(name: str, variant: str = "") -> Config:
+def task(name: str, variant: str = "") -> TrainConfig:
     found = load_suite(name)
     return evaluation_config(compose("balance"), found, variant=found.variants.get(variant, []))
 

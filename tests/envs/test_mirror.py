@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from skatemount.config import Config, compose, config_dir
+from skatemount.config import TrainConfig, compose, config_dir
 from skatemount.envs.config.terms import ObservationTerm, RewardTerm
 from skatemount.envs.mirror import mirror_map
 from skatemount.envs.observations import OBSERVATIONS, ObservationTable
@@ -91,7 +91,7 @@ def all_terms() -> dict[str, ObservationTerm]:
     return {name: ObservationTerm() for name in OBSERVATIONS.names() if OBSERVATIONS.attributes(name).mirror}
 
 
-def settings(overrides: list[str]) -> Config:
+def settings(overrides: list[str]) -> TrainConfig:
     quiet = ["randomization=none", "observation.noise=false", "physics.threads=1", "physics.iterations=100"]
     # Exact line searches: their approximation depends on the order of contacts.
     quiet += ["physics.ls_iterations=50"]

@@ -9,7 +9,7 @@ import mujoco
 import pytest
 import torch
 
-from skatemount.config import Config, compose
+from skatemount.config import TrainConfig, compose
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import Evaluator, mix_seeds
@@ -22,7 +22,7 @@ SHORT = ["episode_length=2", "physics.threads=1"]
 MIXED = [*SHORT, "start.x=[-0.1,0.1]", "start.ang_vel=[-1.2,1.2]"]
 
 
-def make_networks(config: Config) -> ActorCritic:
+def make_networks(config: TrainConfig) -> ActorCritic:
     mdp = MountTask(config=config).make_mdp(torch.Generator())
     torch.manual_seed(0)
     sizes = mdp.observation.size, mdp.privileged.size
@@ -30,19 +30,19 @@ def make_networks(config: Config) -> ActorCritic:
 
 
 @pytest.fixture(scope="module")
-def mixed() -> tuple[Config, ActorCritic]:
+def mixed() -> tuple[TrainConfig, ActorCritic]:
     config = compose("balance", MIXED)
     return config, make_networks(config)
 
 
-def evaluate(networks: ActorCritic, config: Config, episodes: int, worlds: int, seed: int = 0) -> Evaluation:
+def evaluate(networks: ActorCritic, config: TrainConfig, episodes: int, worlds: int, seed: int = 0) -> Evaluation:
     evaluator = Evaluator(config, worlds, seed)
     result = evaluator.run(networks, episodes)
     evaluator.close()
     return result
 
 
-def first_verdicts(config: Config, networks: ActorCritic, worlds: int, seed: int) -> list[bool]:
+def first_verdicts(config: TrainConfig, networks: ActorCritic, worlds: int, seed: int) -> list[bool]:
     """Return the environment's verdict at the end of each world's first episode."""
     env = MountEnv(MountTask(config=config), num_worlds=worlds, seed=mix_seeds(seed, 0))
     verdicts: dict[int, bool] = {}
@@ -57,7 +57,7 @@ def first_verdicts(config: Config, networks: ActorCritic, worlds: int, seed: int
     return list(verdicts.values())
 
 
-def test_verdicts_are_the_environments(mixed: tuple[Config, ActorCritic]) -> None:
+def test_verdicts_are_the_environments(mixed: tuple[TrainConfig, ActorCritic]) -> None:
     config, networks = mixed
     expected = first_verdicts(config, networks, worlds=40, seed=3)
     result = evaluate(networks, config, 40, worlds=40, seed=3)
@@ -73,7 +73,7 @@ def test_verdicts_are_the_environments(mixed: tuple[Config, ActorCritic]) -> Non
     assert ((result.records.end == 0) == (result.records.duration == 2.0)).all()
 
 
-def test_an_episode_is_the_same_however_many_are_asked_for(mixed: tuple[Config, ActorCritic]) -> None:
+def test_an_episode_is_the_same_however_many_are_asked_for(mixed: tuple[TrainConfig, ActorCritic]) -> None:
     config, networks = mixed
     evaluator = Evaluator(config, num_worlds=6, seed=5)
     many, few = evaluator.run(networks, 15), evaluator.run(networks, 7)
@@ -88,7 +88,7 @@ def test_an_episode_is_the_same_however_many_are_asked_for(mixed: tuple[Config, 
     assert not torch.equal(many.records.start[:6], many.records.start[6:12])
 
 
-def test_equal_seeds_give_equal_numbers_and_others_do_not(mixed: tuple[Config, ActorCritic]) -> None:
+def test_equal_seeds_give_equal_numbers_and_others_do_not(mixed: tuple[TrainConfig, ActorCritic]) -> None:
     config, networks = mixed
     first, again = (evaluate(networks, config, 6, worlds=6, seed=7) for _ in range(2))
     assert first.to_dict() == again.to_dict()
@@ -104,7 +104,7 @@ def test_mixed_seeds_do_not_meet() -> None:
     assert mix_seeds(1, 2) != mix_seeds(2, 1)
 
 
-def test_training_is_not_disturbed(mixed: tuple[Config, ActorCritic]) -> None:
+def test_training_is_not_disturbed(mixed: tuple[TrainConfig, ActorCritic]) -> None:
     config, networks = mixed
     before = {k: v.clone() for k, v in networks.state_dict().items()}
     torch.set_float32_matmul_precision("medium")
@@ -138,7 +138,7 @@ def test_standing_on_the_deck_succeeds_and_standing_beside_it_does_not() -> None
     assert (start["x"], start["y"], start["yaw"]) == pytest.approx((0.0, 0.8, 0.0), abs=1e-3)
 
 
-def test_progress_counts_to_the_end(mixed: tuple[Config, ActorCritic]) -> None:
+def test_progress_counts_to_the_end(mixed: tuple[TrainConfig, ActorCritic]) -> None:
     config, networks = mixed
     calls: list[tuple[int, int]] = []
     evaluator = Evaluator(config, num_worlds=2)
@@ -149,7 +149,7 @@ def test_progress_counts_to_the_end(mixed: tuple[Config, ActorCritic]) -> None:
     assert calls[0] == (0, total) and calls[-1] == (total, total) and (5, total) in calls
 
 
-def test_lost_contacts_are_an_error_even_of_a_world_that_has_been_reset(mixed: tuple[Config, ActorCritic]) -> None:
+def test_lost_contacts_are_an_error_even_of_a_world_that_has_been_reset(mixed: tuple[TrainConfig, ActorCritic]) -> None:
     config, networks = mixed
     evaluator = Evaluator(config, 4)
     evaluator.env.physics._batch.warning[1, int(mujoco.mjtWarning.mjWARN_CONTACTFULL), 1] = 1
@@ -159,7 +159,7 @@ def test_lost_contacts_are_an_error_even_of_a_world_that_has_been_reset(mixed: t
     evaluator.close()
 
 
-def test_no_episodes_are_refused(mixed: tuple[Config, ActorCritic]) -> None:
+def test_no_episodes_are_refused(mixed: tuple[TrainConfig, ActorCritic]) -> None:
     config, networks = mixed
     with pytest.raises(ConfigError, match="episodes=0"):
         evaluate(networks, config, 0, worlds=2)

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
-from skatemount.config import Config, compose, compose_program, to_dict
+from skatemount.config import TrainConfig, compose, compose_program, to_dict
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import NUM_WORLDS
@@ -34,11 +34,11 @@ TRAINED = [
 
 
 @pytest.fixture(scope="module")
-def policy() -> Config:
+def policy() -> TrainConfig:
     return compose("balance", TRAINED)
 
 
-def test_without_suite_it_is_what_the_policy_was_trained_in(policy: Config) -> None:
+def test_without_suite_it_is_what_the_policy_was_trained_in(policy: TrainConfig) -> None:
     config, expected = to_dict(evaluation_config(policy, None)), to_dict(policy)
     # Except for what belongs to the machine.
     expected["physics"] |= {"threads": 0, "num_worlds": NUM_WORLDS, "device": "auto", "max_contacts": 48}
@@ -49,7 +49,7 @@ def suite(stage: str, *overrides: str, **more: Any) -> SuiteConfig:
     return SuiteConfig(name="test", stage=stage, overrides=list(overrides), **more)
 
 
-def test_a_suite_sets_the_task_and_keeps_what_is_the_policys(policy: Config) -> None:
+def test_a_suite_sets_the_task_and_keeps_what_is_the_policys(policy: TrainConfig) -> None:
     config, stage = evaluation_config(policy, suite("unfixed")), compose("unfixed")
     assert (config.start, config.board, config.reward) == (stage.start, stage.board, stage.reward)
     assert (config.episode_length, config.stage.name) == (6.0, "unfixed")
@@ -58,7 +58,7 @@ def test_a_suite_sets_the_task_and_keeps_what_is_the_policys(policy: Config) -> 
     assert config.physics.threads == 0
 
 
-def test_the_user_has_the_last_word_then_the_variant_then_the_suite(policy: Config) -> None:
+def test_the_user_has_the_last_word_then_the_variant_then_the_suite(policy: TrainConfig) -> None:
     changes = ["board=longboard", "episode_length=10", "start.x=[0,1]", "termination.tilt.params.degrees=9"]
     test = suite("unfixed", *changes)
     config = evaluation_config(policy, test, ["start.x=[0,2]", "board.mass=4.5"], variant=["board.deck_width=0.3"])
@@ -69,7 +69,7 @@ def test_the_user_has_the_last_word_then_the_variant_then_the_suite(policy: Conf
     assert evaluation_config(policy, test, ["board=mini"]).board == compose(None, ["board=mini"]).board
 
 
-def test_overrides_come_on_top_setting_by_setting(policy: Config) -> None:
+def test_overrides_come_on_top_setting_by_setting(policy: TrainConfig) -> None:
     overrides = ["start.y=[0.1,0.2]", "physics.threads=1", "physics.num_worlds=9", "~reward.alive"]
     config = evaluation_config(policy, None, overrides)
     assert (config.start.y, config.start.x) == ([0.1, 0.2], [-0.01, 0.01])
@@ -80,7 +80,7 @@ def test_overrides_come_on_top_setting_by_setting(policy: Config) -> None:
     assert evaluation_config(policy, None, ["robot.kp=35"]).robot.kp == 35
 
 
-def test_a_group_is_taken_whole_as_the_stage_composes_it(policy: Config) -> None:
+def test_a_group_is_taken_whole_as_the_stage_composes_it(policy: TrainConfig) -> None:
     longboard = evaluation_config(policy, None, ["board=longboard", "board.mass=4"]).board
     assert longboard == compose(None, ["board=longboard", "board.mass=4"]).board
     start = evaluation_config(policy, suite("unfixed"), ["start=near"]).start
@@ -95,7 +95,7 @@ def test_a_policy_without_commands_gets_none_elsewhere() -> None:
     assert evaluation_config(blind, suite("gait")).command.mode == "sampled"
 
 
-def test_the_policys_configuration_is_left_alone(policy: Config) -> None:
+def test_the_policys_configuration_is_left_alone(policy: TrainConfig) -> None:
     before = to_dict(policy)
     evaluation_config(policy, suite("gait"), ["robot.kp=20", "observation.noise=false"])
     assert to_dict(policy) == before
@@ -110,7 +110,7 @@ def test_the_policys_configuration_is_left_alone(policy: Config) -> None:
         ("start.x=[1,0]", "start.x"),
     ],
 )
-def test_mistakes_are_one_line(policy: Config, override: str, said: str) -> None:
+def test_mistakes_are_one_line(policy: TrainConfig, override: str, said: str) -> None:
     with pytest.raises(ConfigError) as error:
         evaluation_config(policy, None, [override])
     assert said in str(error.value)
@@ -118,7 +118,7 @@ def test_mistakes_are_one_line(policy: Config, override: str, said: str) -> None
 
 
 @pytest.fixture(scope="module")
-def path(policy: Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def path(policy: TrainConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
     task = MountTask(config=policy)
     mdp = task.make_mdp(torch.Generator())
     networks = ActorCritic(policy.network, mdp.observation.size, mdp.privileged.size, mdp.context.layout.num_joints)

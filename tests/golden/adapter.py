@@ -21,7 +21,7 @@ from skatemount.losses.ppo import PPO
 from skatemount.training.trainer import make_networks
 
 
-def _compose(line: str) -> configuration.Config:
+def _compose(line: str) -> configuration.TrainConfig:
     return configuration.compose(None, line.split())
 
 

@@ -12,7 +12,7 @@ import torch
 from tiny import BATCH
 
 from skatemount.agents.trained_policy import TrainedPolicy
-from skatemount.config import Config, compose
+from skatemount.config import TrainConfig, compose
 from skatemount.runs.checkpoint import TRAINING_FOLDER, load_training_state
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.metrics import read_metrics
@@ -24,7 +24,7 @@ from skatemount.utils.errors import ConfigError
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
 
-def go_on(run: RunFolder) -> Config:
+def go_on(run: RunFolder) -> TrainConfig:
     given = [f"resume={run.path}", f"total_frames={6 * BATCH}"]
     return resume_config(compose(None, given), given)
 

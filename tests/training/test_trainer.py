@@ -19,7 +19,7 @@ import yaml
 from tiny import BATCH, SILENT, TINY
 
 from skatemount.agents.trained_policy import TrainedPolicy
-from skatemount.config import Config, compose, from_dict
+from skatemount.config import TrainConfig, compose, from_dict
 from skatemount.runs.checkpoint import TRAINING_FOLDER, list_checkpoints, load_training_state
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
@@ -179,7 +179,7 @@ def test_resumed_trainer_has_what_was_saved(trained: RunFolder) -> None:
     assert trainer.run.path == trained.path
 
 
-def go_on(run: RunFolder, *overrides: str) -> Config:
+def go_on(run: RunFolder, *overrides: str) -> TrainConfig:
     given = [f"resume={run.path}", *overrides]
     return resume_config(compose(None, given), given)
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from skatemount.config import Config, compose
+from skatemount.config import TrainConfig, compose
 
-_COMPOSED: list[Config] = []
+_COMPOSED: list[TrainConfig] = []
 
 
 @pytest.fixture
