@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -19,7 +19,7 @@ from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.starts import StartPoseSampler, StartQueue, StartTransform
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.task import MountTask
-from skatemount.utils.devices import torch_threads
+from skatemount.utils.devices import plain_defaults, torch_threads
 
 Listener = Callable[[EpisodeState, StepResult, Tensor], None]
 """A function that gets the episodes after a step, the result of the step, and ``[N]`` bool: the episodes that ended."""
@@ -63,6 +63,7 @@ class MountEnv(EnvBase):
         listeners: Functions that are called after every step. They must copy the parts of the episodes that they keep.
     """
 
+    @plain_defaults
     def __init__(
         self,
         task: MountTask,
@@ -76,6 +77,8 @@ class MountEnv(EnvBase):
         physics = make_physics(task.scene, config, num_worlds, threads)
         n = physics.num_worlds
         super().__init__(device=physics.device, batch_size=torch.Size([n]))
+        # TorchRL takes an environment for closed until its first step.
+        self.is_closed = False
         self.task = task
         self.physics: Physics = physics
         self.generator = torch.Generator(physics.device)
@@ -130,6 +133,7 @@ class MountEnv(EnvBase):
     def _flag(self, n: int) -> Binary:
         return Binary(n=1, shape=(n, 1), dtype=torch.bool, device=self.device)
 
+    @plain_defaults
     def _set_seed(self, seed: int | None) -> None:
         """Draw everything random again from a seed: physics, start states, pushes and noise."""
         self.generator.manual_seed(0 if seed is None else int(seed))
@@ -143,16 +147,33 @@ class MountEnv(EnvBase):
         self._begun = False
         self.statistics.clear()
 
+    @plain_defaults
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDictBase:
         mask = torch.ones(self.num_worlds, dtype=torch.bool, device=self.device)
         if tensordict is not None and "_reset" in tensordict.keys():
             mask = tensordict["_reset"].reshape(self.num_worlds)
-        rows, first = self._restart(mask)
-        # TorchRL ignores the rows of worlds that are not reset.
-        values = {key: v.new_zeros(self.num_worlds, v.shape[1]).index_copy_(0, rows, v) for key, v in first.items()}
+        self._check_open()
+        if mask.all():
+            _, first = self._restart(mask)
+            values = {key: value.clone() for key, value in first.items()}  # outside of inference mode
+        else:
+            # Transforms such as VecNorm count all rows, so worlds that go on return their present observation.
+            values = self._present_observation()
+            if mask.any():
+                rows, first = self._restart(mask)
+                for key, value in first.items():
+                    values[key].index_copy_(0, rows, value)
         values["success"] = torch.zeros_like(mask).unsqueeze(1)
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
 
+    def _present_observation(self) -> dict[str, Tensor]:
+        """Return the present observations of every world by key, those of a world whose physics failed as zeros."""
+        with torch.inference_mode():
+            present = self._observe(self.sim, self._episode)
+        failed = self.physics.diverged().nonzero().squeeze(1)
+        return {key: value.index_fill(0, failed, 0.0) for key, value in present.items()}
+
+    @plain_defaults
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Begin new episodes in the worlds whose episode ended.
 
@@ -227,11 +248,14 @@ class MountEnv(EnvBase):
         self._transform_starts = transform
         self._rebuild_start_queue()
 
+    @plain_defaults
     def _rebuild_start_queue(self) -> None:
         sampler = self.task.make_sampler(self._sample_poses, self.device)
         self._queue = StartQueue(sampler, max(self.num_worlds, 1024), self.generator, self._transform_starts)
 
+    @plain_defaults
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self._check_open()
         with torch_threads(self._torch_threads):
             # A step is several hundred small operations, which take less time to launch without autograd.
             with torch.inference_mode():
@@ -271,7 +295,25 @@ class MountEnv(EnvBase):
         return {"observation": observation, "privileged": privileged}
 
     def close(self, *, raise_if_closed: bool = True) -> None:
-        """Stop the engine."""
+        """Stop the engine's threads and free the worlds; a second call does nothing.
+
+        Args:
+            raise_if_closed: Has no effect; TorchRL's interface has it.
+        """
         if not self.is_closed:
+            super().close(raise_if_closed=raise_if_closed)
             self.physics.close()
-        super().close(raise_if_closed=raise_if_closed)
+
+    def _check_open(self) -> None:
+        if self.is_closed:
+            raise RuntimeError("this MountEnv is closed; make a new one")
+
+    def __repr__(self) -> str:
+        state = ", closed" if self.is_closed else ""
+        return f"MountEnv({self.num_worlds} worlds, {self.physics.description}, device={self.device}{state})"
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError(
+            "a MountEnv cannot be pickled or copied, because its engine lives in this process; pass a function that "
+            "makes one, such as lambda: MountEnv(MountTask(stage='unfixed'), num_worlds=64)"
+        )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import dm_env.specs
 import mujoco
@@ -23,6 +23,7 @@ from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.starts import StartPoseSampler, StartSampler
 from skatemount.envs.state import EpisodeState, SimState, StateReader
 from skatemount.envs.terms import TaskContext
+from skatemount.utils.devices import plain_defaults
 
 
 class MountTask(composer.Task):
@@ -43,6 +44,7 @@ class MountTask(composer.Task):
         ConfigError: The stage or a setting is unknown, or a setting has a value that cannot be used.
     """
 
+    @plain_defaults
     def __init__(self, stage: str | None = None, overrides: Sequence[str] = (), config: TaskConfig | None = None):
         if config is None:
             # Imported here because only a task that is built from a stage needs Hydra.
@@ -131,6 +133,7 @@ class MountTask(composer.Task):
         self._nominal = copy.copy(physics.model.ptr)
         self._sim = None
 
+    @plain_defaults
     def initialize_episode(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Draw randomized physics and a start state, and begin an episode there."""
         self._generator.manual_seed(int(random_state.randint(2**31)))
@@ -141,6 +144,7 @@ class MountTask(composer.Task):
         self._pushes = Pushes(self.config.randomization, 1, self._mdp.context.control_step, self._generator)
         self.start(physics, self._sampler.draw(1, self._generator))
 
+    @plain_defaults
     def start(self, physics: Any, start: StartState) -> None:
         """Put the world into a start state and begin an episode there.
 
@@ -164,6 +168,7 @@ class MountTask(composer.Task):
         self._episode = self._mdp.begin(self._sim)
         self._outcome = None
 
+    @plain_defaults
     def before_step(self, physics: Any, action: np.ndarray, random_state: np.random.RandomState) -> None:
         """Convert the action to joint position targets and push the robot if a push is due."""
         if self._outcome is None:
@@ -186,6 +191,7 @@ class MountTask(composer.Task):
     def before_substep(self, physics: Any, action: np.ndarray, random_state: np.random.RandomState) -> None:
         """Do nothing, because the targets are constant for the whole control step."""
 
+    @plain_defaults
     def after_step(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Update the episode by the step."""
         diverged = torch.tensor([not np.isfinite(physics.data.qpos).all()])
@@ -204,6 +210,12 @@ class MountTask(composer.Task):
         """Return 0 after a termination, else 1: a time limit does not end the task itself."""
         return 0.0 if self._last.terminated[0] else 1.0
 
+    def __reduce__(self) -> NoReturn:
+        raise TypeError(
+            "a MountTask cannot be pickled or copied; make another one from its config: MountTask(config=task.config)"
+        )
+
+    @plain_defaults
     def _observe(self, physics: Any) -> tuple[Tensor, Tensor]:
         sim = self._state(physics) if self._sim is None else self._sim
         return self._mdp.observe(sim, self._episode)

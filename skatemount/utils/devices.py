@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import ParamSpec, TypeVar
 
 import torch
 from torch import Tensor
 
 from skatemount.utils.errors import ConfigError
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 def choose_device(name: str) -> torch.device:
@@ -51,6 +56,29 @@ def torch_threads(number: int | None) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+def plain_defaults(function: Callable[P, R]) -> Callable[P, R]:
+    """Run a function with torch's own defaults, float32 on the CPU, whatever the host program has set.
+
+    Args:
+        function: Any function or method that creates tensors without saying their type and device.
+    """
+
+    @functools.wraps(function)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        dtype, device = torch.get_default_dtype(), torch.get_default_device()
+        # Checked first because a default device intercepts every call of torch, which costs time.
+        if dtype == torch.float32 and device.type == "cpu":
+            return function(*args, **kwargs)
+        torch.set_default_dtype(torch.float32)
+        try:
+            with torch.device("cpu"):
+                return function(*args, **kwargs)
+        finally:
+            torch.set_default_dtype(dtype)
+
+    return wrapped
 
 
 def rng_state(device: torch.device) -> Tensor:

@@ -161,8 +161,11 @@ class CpuPhysics:
         return self._qpos[worlds].copy(), self._mocap[worlds].copy()
 
     def close(self) -> None:
-        """Stop the threads and free the worlds."""
-        del self._batch
+        """Stop the threads and free the worlds; a second call does nothing."""
+        # Every view of the worlds keeps the batch and its threads.
+        for name, value in list(vars(self).items()):
+            if isinstance(value, np.ndarray | Batch):
+                delattr(self, name)
 
     def _warned(self, kinds: list[int], worlds: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Find worlds that had a warning since their last reset.

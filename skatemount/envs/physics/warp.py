@@ -338,8 +338,9 @@ class WarpPhysics:
         return qpos, mocap_pos
 
     def close(self) -> None:
-        """Free the worlds."""
-        del self._all, self._few, self._state
+        """Free the worlds; a second call does nothing."""
+        for name in ("_all", "_few", "_state"):
+            vars(self).pop(name, None)
 
 
 def _announce_compilation() -> None:
