@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from skatemount.utils.signals import exiting_by_signals
+
 if TYPE_CHECKING:
     from skatemount.config import BenchProgramConfig
 
@@ -47,13 +49,14 @@ def bench(config: BenchProgramConfig, overrides: list[str]) -> None:
 
 def main() -> None:
     """Run the program."""
-    from skatemount.rendering import opengl
+    with exiting_by_signals("bench"):
+        from skatemount.rendering import opengl
 
-    opengl.disable()
-    # Only now: composing the settings may import dm_control, which would look for a display.
-    from skatemount import cli
+        opengl.disable()
+        # Only now: composing the settings may import dm_control, which would look for a display.
+        from skatemount import cli
 
-    cli.run(bench, "bench")
+        cli.run(bench, "bench")
 
 
 if __name__ == "__main__":

@@ -60,8 +60,6 @@ def run(verb: Callable[[Any, list[str]], None], program: str) -> None:
             return
         sys.argv[1:] = _prepared(sys.argv[1:], program)
         application()
-    except KeyboardInterrupt:
-        sys.exit(130)
     except Exception as error:
         if isinstance(error, ConfigError | OSError) or _from_hydra(error):
             fail(error)

@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from skatemount.utils.signals import exiting_by_signals
+
 if TYPE_CHECKING:
     from skatemount.config import EvaluateConfig
     from skatemount.evaluation.results import Evaluation
@@ -124,13 +126,14 @@ def _write(document: dict[str, Any], path: Path) -> Path:
 
 def main() -> None:
     """Run the program."""
-    from skatemount.rendering import opengl
+    with exiting_by_signals("evaluate"):
+        from skatemount.rendering import opengl
 
-    opengl.disable()
-    # Only now: composing the settings may import dm_control, which would look for a display.
-    from skatemount import cli
+        opengl.disable()
+        # Only now: composing the settings may import dm_control, which would look for a display.
+        from skatemount import cli
 
-    cli.run(evaluate, "evaluate")
+        cli.run(evaluate, "evaluate")
 
 
 if __name__ == "__main__":

@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from skatemount.utils.signals import exiting_by_signals
+
 if TYPE_CHECKING:
     from skatemount.config import RecordConfig
 
@@ -111,18 +113,19 @@ def default_folder(policy: Path) -> Path:
 
 def main() -> None:
     """Run the program."""
-    from skatemount.rendering import opengl
-    from skatemount.utils.errors import ConfigError
+    with exiting_by_signals("record"):
+        from skatemount.rendering import opengl
+        from skatemount.utils.errors import ConfigError
 
-    try:
-        opengl.choose()
-    except ConfigError as error:
-        print(f"skatemount.record: {error}", file=sys.stderr)
-        sys.exit(2)
-    # Only now: importing the configuration imports dm_control, which asks once how to draw.
-    from skatemount import cli
+        try:
+            opengl.choose()
+        except ConfigError as error:
+            print(f"skatemount.record: {error}", file=sys.stderr)
+            sys.exit(2)
+        # Only now: importing the configuration imports dm_control, which asks once how to draw.
+        from skatemount import cli
 
-    cli.run(record, "record")
+        cli.run(record, "record")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from skatemount.utils.signals import exiting_by_signals
+
 if TYPE_CHECKING:
     from skatemount.config import TrainConfig
 
@@ -49,13 +51,14 @@ def train(config: TrainConfig, overrides: list[str]) -> None:
 
 def main() -> None:
     """Run the program."""
-    from skatemount.rendering import opengl
+    with exiting_by_signals("train"):
+        from skatemount.rendering import opengl
 
-    opengl.disable()
-    # Only now: composing the settings may import dm_control, which would look for a display.
-    from skatemount import cli
+        opengl.disable()
+        # Only now: composing the settings may import dm_control, which would look for a display.
+        from skatemount import cli
 
-    cli.run(train, "train")
+        cli.run(train, "train")
 
 
 if __name__ == "__main__":

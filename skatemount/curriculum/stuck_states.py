@@ -71,8 +71,6 @@ def to_start_states(sim: SimState, deck_height: float) -> StartState:
 class StuckStateBuffer:
     """A buffer of stuck, half-mounted states of an environment, from which a share of its episodes begin.
 
-    It is not saved: after a resume it fills again within an iteration or two.
-
     Args:
         env: The environment. The buffer listens to it and transforms the initial states drawn from now on.
         share: Share of the starts in the stage's own ranges that is replaced.
@@ -120,3 +118,11 @@ class StuckStateBuffer:
         picked = self._kept[torch.randint(len(self._kept), (n,), generator=generator, device=generator.device)]
         picked.force, picked.torque = starts.force, starts.torque
         return StartState.where(replaced, picked, starts)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return the kept states by field; empty if there are none yet."""
+        return {} if self._kept is None else self._kept.state_dict()
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Restore what `state_dict` returned."""
+        self._kept = StartState.from_state_dict(state, self._env.device) if state else None

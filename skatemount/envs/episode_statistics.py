@@ -113,3 +113,12 @@ class EpisodeStatistics:
         metrics["Episode_Termination/time_out"] = sums["time_outs"] / n
         self._clear_sums()
         return metrics
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return copies of all sums, those of the running episodes included."""
+        return {name: values.clone() for name, values in vars(self).items() if isinstance(values, Tensor)}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Restore what `state_dict` returned."""
+        for name, values in state.items():
+            getattr(self, name).copy_(values)

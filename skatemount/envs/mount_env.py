@@ -144,7 +144,7 @@ class MountEnv(EnvBase):
         self._randomizer = Randomizer(config.randomization, physics.index, physics.model, self.generator)
         self._randomizer.build_worlds(physics)
         self._episode = EpisodeState.zeros(n, self.mdp.context.layout, self.mdp.observation.size, self.device)
-        self._begun = False
+        self._begun = self._resumes = False
         self.statistics.clear()
 
     @plain_defaults
@@ -153,7 +153,10 @@ class MountEnv(EnvBase):
         if tensordict is not None and "_reset" in tensordict.keys():
             mask = tensordict["_reset"].reshape(self.num_worlds)
         self._check_open()
-        if mask.all():
+        if self._resumes:
+            values = self._present_observation()
+            self._resumes = False
+        elif mask.all():
             _, first = self._restart(mask)
             values = {key: value.clone() for key, value in first.items()}  # outside of inference mode
         else:
@@ -293,6 +296,38 @@ class MountEnv(EnvBase):
     def _observe(self, sim: SimState, episode: EpisodeState) -> dict[str, Tensor]:
         observation, privileged = self.mdp.observe(sim, episode)
         return {"observation": observation, "privileged": privileged}
+
+    def world_state(self) -> dict[str, Any]:
+        """Return copies of all that shapes the worlds' future, in nested dicts; see `load_world_state`."""
+        return {
+            "physics": self.physics.state_dict(),
+            "episode": {name: values.clone() for name, values in self._episode.to_dict().items()},
+            "statistics": self.statistics.state_dict(),
+            "pushes": self._pushes.state_dict(),
+            "starts": self._queue.state_dict(),
+            "generator": self.generator.get_state(),
+        }
+
+    @plain_defaults
+    def load_world_state(self, state: dict[str, Any]) -> None:
+        """Restore the worlds in the middle of their episodes.
+
+        The reset that follows, with which a collector or a rollout begins, returns their present observations and
+        begins no new episodes.
+
+        Args:
+            state: What `world_state` returned, of an environment of the same task, seed and number of worlds.
+        """
+        self.physics.load_state_dict(state["physics"])
+        self._episode = EpisodeState(
+            **{name: values.to(self.device) for name, values in state["episode"].items()}, batch_size=[self.num_worlds]
+        )
+        self.statistics.load_state_dict(state["statistics"])
+        self._pushes.load_state_dict(state["pushes"])
+        self._queue.load_state_dict(state["starts"])
+        self.generator.set_state(state["generator"])
+        self._sim = None
+        self._begun = self._resumes = True
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """Stop the engine's threads and free the worlds; a second call does nothing.

@@ -158,3 +158,11 @@ class Pushes:
             mask: ``[N]`` bool.
         """
         self._time_left = torch.where(mask, self._intervals(len(mask)), self._time_left)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return a copy of the times left until the next pushes."""
+        return {"time_left": self._time_left.clone()}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Restore what `state_dict` returned."""
+        self._time_left = state["time_left"].to(self._time_left)

@@ -273,3 +273,12 @@ class StartQueue:
         taken = slice(self._next, self._next + count)
         self._next += count
         return self._starts[taken]
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return the start states that are left, by field; empty if none are drawn yet."""
+        return {} if self._starts is None else self._starts[self._next :].state_dict()
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Restore what `state_dict` returned."""
+        self._starts = StartState.from_state_dict(state, self._generator.device) if state else None
+        self._next = 0

@@ -1,7 +1,8 @@
 """Policies and checkpoints on disk. Nothing here reads pickle.
 
 A *policy file* is `NAME.safetensors` with its card `NAME.json` beside it. A *checkpoint folder* is
-`step_000001234567/` with `policy.safetensors`, `policy.json`, and `training/`, the state that a resumed training needs.
+`step_000001234567/` with `policy.safetensors`, `policy.json`, `training/`, the state that a resumed training needs, and
+`worlds/`, the state of every world. Only the newest checkpoint of a run keeps its worlds, which take the most memory.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from skatemount.utils.errors import ConfigError
 CARD_FORMAT = 1
 POLICY_FILE = "policy.safetensors"
 TRAINING_FOLDER = "training"
+WORLDS_FOLDER = "worlds"
 
 _NON_FINITE = ("nan", "inf", "-inf")
 
@@ -131,7 +133,11 @@ def read_card(path: Path) -> PolicyCard:
 
 
 def save_checkpoint(
-    folder: Path, modules: Mapping[str, nn.Module], card: PolicyCard, training_state: Mapping[str, Any]
+    folder: Path,
+    modules: Mapping[str, nn.Module],
+    card: PolicyCard,
+    training_state: Mapping[str, Any],
+    world_state: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a checkpoint folder, whole or not at all.
 
@@ -140,6 +146,7 @@ def save_checkpoint(
         modules: As for `save_policy`.
         card: As for `save_policy`.
         training_state: As for `skatemount.runs.serialization.save_state`.
+        world_state: The same for the state of every world; not saved if None.
 
     Raises:
         ConfigError: A value cannot be saved; `folder` is as before.
@@ -147,6 +154,8 @@ def save_checkpoint(
     with atomic.replacing_folder(Path(folder)) as staged:
         save_policy(staged / POLICY_FILE, modules, card)
         save_state(staged / TRAINING_FOLDER, training_state)
+        if world_state is not None:
+            save_state(staged / WORLDS_FOLDER, world_state)
 
 
 def load_training_state(folder: Path) -> dict[str, Any]:
@@ -164,6 +173,16 @@ def load_training_state(folder: Path) -> dict[str, Any]:
     return load_state(state)
 
 
+def load_world_state(folder: Path) -> dict[str, Any] | None:
+    """Return the state of every world of a checkpoint folder, or None if it has none, as all but the newest.
+
+    Raises:
+        ConfigError: The state is damaged.
+    """
+    state = Path(folder) / WORLDS_FOLDER
+    return load_state(state) if state.is_dir() else None
+
+
 def step_folder(frames: int) -> str:
     """Return a checkpoint folder's name, padded so that names sort by step."""
     return f"step_{frames:012d}"
@@ -179,16 +198,19 @@ def list_checkpoints(checkpoints: Path) -> list[Path]:
 
     The order is by time, not by step: a run that resumed from an earlier checkpoint writes smaller steps later.
     """
-    return sorted(filter(is_checkpoint, checkpoints.glob("step_*")), key=lambda p: (p.stat().st_mtime_ns, p.name))
+    return sorted(filter(is_checkpoint, checkpoints.glob("step_*")), key=_age)
 
 
 def keep_last(checkpoints: Path, n: int, protect: Path | None = None) -> list[Path]:
-    """Delete all but the newest checkpoints, and return the deleted folders.
+    """Delete all but the newest checkpoints, and the worlds of all but the newest one.
 
     Args:
         checkpoints: The folder that holds them.
         n: Number to keep, at least 1.
         protect: A checkpoint that is kept in any case and not counted, such as the best one.
+
+    Returns:
+        The deleted checkpoints.
 
     Raises:
         ConfigError: `n` is less than 1.
@@ -199,7 +221,15 @@ def keep_last(checkpoints: Path, n: int, protect: Path | None = None) -> list[Pa
     doomed = [p for p in list_checkpoints(checkpoints) if p.resolve() != protected][:-n]
     for folder in doomed:
         atomic.remove_folder(folder)
+    for folder in list_checkpoints(checkpoints)[:-1]:
+        if (folder / WORLDS_FOLDER).is_dir():
+            atomic.remove_folder(folder / WORLDS_FOLDER)
     return doomed
+
+
+def _age(checkpoint: Path) -> tuple[int, str]:
+    # Not the folder's own time, which changes when its worlds are deleted.
+    return (checkpoint / POLICY_FILE).stat().st_mtime_ns, checkpoint.name
 
 
 def _policy_file(path: Path) -> Path:

@@ -27,9 +27,10 @@ from skatemount.runs.serialization import parse_json
 from skatemount.training.callbacks import Callback, gate_reached
 from skatemount.training.plots import plot_chain
 from skatemount.training.resume import apply_resume_overrides
-from skatemount.training.trainer import Trainer, sigterm_as_interrupt
+from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_count
+from skatemount.utils.signals import ending_by_signals
 
 CONFIGS_FILE = "stages.yaml"
 REPORT_FILE = "stages.json"
@@ -196,7 +197,7 @@ class Chain:
                 f"total_frames={self.config.total_frames}: all stages of {self.run.path} have ended; raise "
                 "total_frames to train the last one further"
             )
-        with self.run.lock(), sigterm_as_interrupt():
+        with self.run.lock(), ending_by_signals():
             try:
                 for place in left:
                     self._train(place)

@@ -29,7 +29,9 @@ def resume_config(config: TrainConfig, overrides: list[str]) -> TrainConfig:
     own = is_own_run(folder, config.logger.root)
     saved = configuration.from_dict(run.config, own=own, where=f"resume={config.resume}: saved settings")
     apply_resume_overrides(saved, config, overrides)
-    saved.resume = str(folder)
+    # A run stands for its latest checkpoint, which is looked for once no other process can add one.
+    named = Path(config.resume)
+    saved.resume = str(folder if named.name in ("best", folder.name) else run.path)
     return saved
 
 

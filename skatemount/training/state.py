@@ -123,3 +123,10 @@ def load_parts(parts: Mapping[str, Stateful], state: Mapping[str, Any], where: s
         )
     for name, part in parts.items():
         part.load_state_dict(state[name])
+
+
+def copied(state: Any) -> Any:
+    """Return a copy of nested dicts whose tensors share no memory with the original."""
+    if isinstance(state, Mapping):
+        return {name: copied(value) for name, value in state.items()}
+    return state.clone() if isinstance(state, Tensor) else state

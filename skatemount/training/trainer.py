@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import shlex
-import signal
-from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Generator, Iterable
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +29,23 @@ from skatemount.losses.ppo import PPO
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.models.symmetry import Reflection
 from skatemount.runs import checkpoint
+from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
 from skatemount.training.callbacks import Callback, arrange_callbacks
 from skatemount.training.progress import Progress
-from skatemount.training.state import Attributes, CallbackStates, Generators, Stateful, load_parts, save_parts
-from skatemount.utils.devices import seconds
+from skatemount.training.state import (
+    Attributes,
+    CallbackStates,
+    Generators,
+    Stateful,
+    copied,
+    load_parts,
+    save_parts,
+)
+from skatemount.utils.devices import rng_state, seconds, set_rng_state
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.memory import disable_malloc_trim
+from skatemount.utils.signals import Ended, ending_by_signals, shielded
 
 
 def set_up_process(config: TrainConfig) -> None:
@@ -120,17 +129,27 @@ class Trainer:
         if self.curriculum is not None:
             self.env.listeners.append(self.curriculum.observe_step)
             self.env.set_start_sampler(self.curriculum.sample_poses)
+        self._stuck_states: StuckStateBuffer | None = None
         if config.curriculum.stuck_start_fraction:
-            StuckStateBuffer(self.env, config.curriculum.stuck_start_fraction)
+            self._stuck_states = StuckStateBuffer(self.env, config.curriculum.stuck_start_fraction)
         self.callbacks = arrange_callbacks(callbacks)
         self.frames = self.iteration = self.saved_frames = 0
         self.elapsed = 0.0
         self._stopped = False
         self._evaluator: Evaluator | None = None
         self._collect_normalizer_stats = False
+        # The state before the present iteration; none between iterations.
+        self._before: dict[str, Any] | None = None
+        self._held = ExitStack()
         if config.resume is not None:
             self.run = RunFolder.open(config.resume)
-            self._restore(Path(config.resume))
+            # Taken before anything is read, so that no other process trains on meanwhile.
+            self._held.enter_context(self.run.lock())
+            try:
+                self._restore(find_checkpoint(config.resume, setting="resume"))
+            except BaseException:
+                self._held.close()
+                raise
         else:
             self.started_from = self._initialize()
             if self.started_from is not None:
@@ -144,6 +163,7 @@ class Trainer:
                 self.run = RunFolder.create(logger.root, logger.experiment, name, values, overrides or [])
             else:
                 self.run = parent.create_part(name, values, overrides or [])
+            self._held.enter_context(self.run.lock())
         self.display = Progress(config.total_frames, config.stage.name, config.logger.progress_every, self.frames)
 
     def _initialize(self) -> str | None:
@@ -187,6 +207,21 @@ class Trainer:
             self.env.set_start_sampler(self.curriculum.sample_poses)
         self.ppo.step_schedules(self.frames, self.config.total_frames)
         self.started_from = str(folder)
+        worlds = checkpoint.load_world_state(folder)
+        if worlds is None:
+            print(f"{folder}: the state of its worlds is not saved, so their episodes begin again", flush=True)
+        else:
+            self._load_worlds(worlds)
+
+    def _worlds(self) -> dict[str, Any]:
+        """Return the state of every world, and of what is kept from them."""
+        kept = {} if self._stuck_states is None else {"stuck_states": self._stuck_states.state_dict()}
+        return {"env": self.env.world_state(), **kept}
+
+    def _load_worlds(self, state: dict[str, Any]) -> None:
+        self.env.load_world_state(state["env"])
+        if self._stuck_states is not None:
+            self._stuck_states.load_state_dict(state["stuck_states"])
 
     def describe(self) -> str:
         """Return two lines: the stage, the worlds, the network and the initial policy; the run folder."""
@@ -215,22 +250,23 @@ class Trainer:
         Raises:
             ConfigError: Nothing is left to train, or another process is training in the same run folder.
             FloatingPointError: A value is not finite; the last checkpoint is from before.
-            KeyboardInterrupt: Ctrl-C or SIGTERM; all complete iterations are in a checkpoint.
+            KeyboardInterrupt: A signal ended the training; all complete iterations are in a checkpoint. It is
+                `skatemount.utils.signals.Ended`, and says where they are.
         """
         if self.frames >= self.config.total_frames:
             raise ConfigError(
                 f"total_frames={self.config.total_frames}: {self.frames} frames are already trained; raise "
                 "total_frames above that"
             )
-        with self.run.lock(), sigterm_as_interrupt():
-            self._train()
-        episodes = self.config.logger.final_episodes
-        if not episodes:
-            return None
-        try:
-            return self.evaluate(episodes, self.display.show_evaluation)
-        finally:
-            self.display.close()
+        with ending_by_signals():
+            try:
+                self._train()
+                episodes = self.config.logger.final_episodes
+                return self.evaluate(episodes, self.display.show_evaluation) if episodes else None
+            except Ended as end:
+                raise Ended(end.signum, self.what_is_left()) from None
+            finally:
+                self.display.close()
 
     def _train(self) -> None:
         try:
@@ -241,10 +277,22 @@ class Trainer:
                     if self.stopping:
                         break
         except KeyboardInterrupt:
+            if self._before is not None:
+                # A part of an iteration would make the run differ from one that was not interrupted.
+                load_parts(self.parts, self._before["parts"], "the state before this iteration")
+                self._load_worlds(self._before["worlds"])
             self._call("on_interrupt")
             raise
         finally:
             self._call("on_train_end")
+
+    def what_is_left(self) -> str:
+        """Return where the last checkpoint is and the command that goes on from it."""
+        latest = self.run.latest
+        if latest is None:
+            return f"nothing was trained in {self.run.path}"
+        command = ["python", "-m", "skatemount.train", f"resume={self.run.path}"]
+        return f"{self.saved_frames:,} steps are saved in {latest}; go on with: {shlex.join(command)}"
 
     def _call(self, hook: str, *arguments: Any) -> None:
         for callback in self.callbacks:
@@ -260,6 +308,8 @@ class Trainer:
             ConfigError: The engine's memory was too small for all contacts.
         """
         batch_frames = self.env.num_worlds * self.config.collector.steps_per_env
+        device = self.env.physics.device
+        restored = rng_state(device)
         collector = Collector(
             self.env,
             self.networks.actor,
@@ -268,10 +318,13 @@ class Trainer:
             track_traj_ids=False,
             auto_register_policy_transforms=False,
         )
-        device = self.env.physics.device
+        if self.frames:
+            # The collector tries the policy out, which draws random actions.
+            set_rng_state(restored, device)
         already, started = self.elapsed, seconds(device)
         try:
             mark = started
+            self._before = self._snapshot()
             for batch in collector:
                 collected = seconds(device)
                 self._call("on_batch_collected", batch)
@@ -291,10 +344,15 @@ class Trainer:
                     "Perf/learning_time": now - begun,
                     "Perf/elapsed_s": self.elapsed,
                 }
+                self._before = None
                 yield metrics
+                self._before = self._snapshot()
                 mark = seconds(device)
         finally:
             collector.shutdown(close_env=False)
+
+    def _snapshot(self) -> dict[str, Any]:
+        return {"parts": copied(save_parts(self.parts)), "worlds": copied(self._worlds())}
 
     def _learn(self, batch: TensorDictBase) -> dict[str, float]:
         if self._collect_normalizer_stats:
@@ -329,13 +387,15 @@ class Trainer:
         state = save_parts(self.parts)
         state["progress"]["device"] = self.env.physics.device.type
         folder = self.run.checkpoint(self.frames)
-        checkpoint.save_checkpoint(folder, {MODULE: self.networks}, card, state)
-        self.run.mark_checkpoint(folder, score)
-        checkpoint.keep_last(self.run.checkpoints, self.config.logger.keep_checkpoints, protect=self.run.best)
-        self.saved_frames = self.frames
+        with shielded():
+            checkpoint.save_checkpoint(folder, {MODULE: self.networks}, card, state, self._worlds())
+            self.run.mark_checkpoint(folder, score)
+            checkpoint.keep_last(self.run.checkpoints, self.config.logger.keep_checkpoints, protect=self.run.best)
+            self.saved_frames = self.frames
 
     def close(self) -> None:
-        """Stop the engines."""
+        """Stop the engines, and let other processes train in the run's folder."""
+        self._held.close()
         self.env.close()
         if self._evaluator is not None:
             self._evaluator.close()
@@ -353,22 +413,3 @@ def next_commands(run: RunFolder) -> str:
     options = configuration.config_dir_options() if suite else []
     evaluate = ["python", "-m", "skatemount.evaluate", *options, *policy, *suite]
     return f"next:\n  {shlex.join(evaluate)}\n  {shlex.join(['python', '-m', 'skatemount.record', *policy])}"
-
-
-@contextmanager
-def sigterm_as_interrupt() -> Iterator[None]:
-    """Let SIGTERM end the block as Ctrl-C does."""
-
-    def interrupt(signum: int, frame: Any) -> None:
-        raise KeyboardInterrupt
-
-    try:
-        previous = signal.signal(signal.SIGTERM, interrupt)
-    except ValueError:
-        # Signals belong to the main thread.
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)

@@ -110,6 +110,14 @@ class Physics(Protocol):
         """Restore a state from `raw_state` and compute everything that depends on it."""
         ...
 
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return copies of everything that a step or a reset depends on, the model fields of each world included."""
+        ...
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Restore what `state_dict` returned; on the CPU, all that follows is the same to the bit."""
+        ...
+
     def close(self) -> None:
         """Free the engine's memory and threads."""
         ...
@@ -153,6 +161,20 @@ class StartState:
 
     def __len__(self) -> int:
         return self.base_pos.shape[0]
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return the tensors by name, without the fields that are None."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Tensor], device: torch.device) -> StartState:
+        """Return the start states that `state_dict` gave.
+
+        Args:
+            state: Tensors by name.
+            device: Device of the start states.
+        """
+        return cls(**{name: values.to(device) for name, values in state.items()})
 
     @staticmethod
     def cat(parts: list[StartState]) -> StartState:

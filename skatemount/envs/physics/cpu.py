@@ -61,6 +61,8 @@ class CpuPhysics:
         self._ctrl, self._wrench = bind("ctrl"), bind("xfrc_applied")
         self._weld, self._mocap = bind("eq_active"), bind("mocap_pos")
         self._sensordata = bind("sensordata")
+        # What a state is read from: the engine's arrays, or after `load_state_dict` copies until the next step.
+        self._read = (self._sensordata, self._qacc)
         # A slice is copied faster than an index array, and the joints are one if their addresses have no gaps.
         dof = self.index.joint_dof
         self._joint_dof: slice | np.ndarray = dof
@@ -68,6 +70,7 @@ class CpuPhysics:
             self._joint_dof = slice(int(dof[0]), int(dof[-1]) + 1)
         self._reader = StateReader(self.index)
         self._lost_contacts = False
+        self._fields: dict[str, np.ndarray] = {}
         self._default = self._batch.state[0].copy()
         self._batch.forward()
 
@@ -75,6 +78,7 @@ class CpuPhysics:
         """Advance every world; see `Physics.step`."""
         self._ctrl[:, self.index.actuators] = targets.numpy()
         self._batch.step(nstep=substeps, stage=_POSITION_AND_VELOCITY)
+        self._read = (self._sensordata, self._qacc)
 
     def reset(self, mask: Tensor, start: StartState) -> None:
         """Put the chosen worlds into start states; see `Physics.reset`."""
@@ -99,6 +103,9 @@ class CpuPhysics:
         self._mocap[ids, index.floor_mocap, 2] = start.ground_height.numpy()
         # All stages, because force sensors would otherwise keep the values of the last episode.
         self._batch.forward(ids, stage=_EVERYTHING)
+        for read, array in zip(self._read, (self._sensordata, self._qacc)):
+            if read is not array:
+                read[ids] = array[ids]
 
     def push(self, mask: Tensor, velocity: Tensor) -> None:
         """Add to the trunk's velocity; see `Physics.push`."""
@@ -112,16 +119,18 @@ class CpuPhysics:
         def copy(values: np.ndarray) -> Tensor:
             return torch.from_numpy(values.astype(np.float32))
 
+        sensordata, qacc = self._read
         return self._reader.read(
-            copy(self._sensordata[which]),
-            copy(self._qacc[which][:, self._joint_dof]),
+            copy(sensordata[which]),
+            copy(qacc[which][:, self._joint_dof]),
             copy(self._mocap[which, self.index.floor_mocap, 2]),
             torch.from_numpy(self._weld[which, self.index.weld] > 0),
         )
 
     def field(self, name: str) -> Tensor:
         """Return a live ``[N, ...]`` float64 view of a model field, which then has a value for each world."""
-        return torch.from_numpy(self._batch.expand(name))
+        self._fields[name] = self._batch.expand(name)
+        return torch.from_numpy(self._fields[name])
 
     def refresh_constants(self) -> None:
         """Recompute the model constants that depend on masses and inertias."""
@@ -148,6 +157,24 @@ class CpuPhysics:
         self._batch.state[:] = state
         self._batch.forward()
 
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return copies of all that a step or a reset depends on; see `Physics.state_dict`."""
+        sensordata, qacc = self._read
+        arrays = {"state": self._batch.state, "warning": self._batch.warning, "sensordata": sensordata, "qacc": qacc}
+        fields = {f"field.{name}": values for name, values in self._fields.items()}
+        return {name: torch.tensor(values) for name, values in (arrays | fields).items()}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Restore what `state_dict` returned; see `Physics.load_state_dict`."""
+        for name, values in state.items():
+            if name.startswith("field."):
+                self._batch.expand(name.removeprefix("field."))[:] = values.numpy()
+        self._batch.state[:] = state["state"].numpy()
+        # A step continues from these stages. The warnings, forces and accelerations are those of the last step.
+        self._batch.forward(stage=_POSITION_AND_VELOCITY)
+        self._batch.warning[:] = state["warning"].numpy()
+        self._read = (state["sensordata"].numpy().copy(), state["qacc"].numpy().copy())
+
     @functools.cached_property
     def _visual_model(self) -> mujoco.MjModel:
         return self._scene.compile()
@@ -164,7 +191,7 @@ class CpuPhysics:
         """Stop the threads and free the worlds; a second call does nothing."""
         # Every view of the worlds keeps the batch and its threads.
         for name, value in list(vars(self).items()):
-            if isinstance(value, np.ndarray | Batch):
+            if isinstance(value, np.ndarray | Batch | dict | tuple):
                 delattr(self, name)
 
     def _warned(self, kinds: list[int], worlds: np.ndarray | slice = slice(None)) -> np.ndarray:

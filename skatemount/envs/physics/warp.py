@@ -322,6 +322,21 @@ class WarpPhysics:
             self._state[name].copy_(value)
         self._all.launch(_FORWARD)
 
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return copies of all that a step or a reset depends on; see `Physics.state_dict`."""
+        return {name: values.clone() for name, values in self._saved_tensors().items()}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Restore what `state_dict` returned; see `Physics.load_state_dict`."""
+        for name, values in self._saved_tensors().items():
+            values.copy_(state[name])
+
+    def _saved_tensors(self) -> dict[str, Tensor]:
+        every = self._all
+        kinds = {"state": every.state, "field": every.fields, "result": every.results}
+        named = {f"{kind}.{name}": values for kind, tensors in kinds.items() for name, values in tensors.items()}
+        return named | {"failed": self._failed}
+
     @functools.cached_property
     def _visual_model(self) -> mujoco.MjModel:
         return self._scene.compile()
