@@ -13,7 +13,7 @@ from torch import Tensor
 from skatemount.agents.interface import feature_indices
 from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.envs.mount_env import MountEnv
-from skatemount.models.actor_critic import ActorCritic
+from skatemount.models.base import Networks
 from skatemount.runs.shipped import PRETRAINED, shipped_file
 from skatemount.utils.errors import ConfigError
 
@@ -36,21 +36,23 @@ class SwitchingPolicy:
         switch_distance: Horizontal distance between trunk and deck's center below which the mounting policy acts, m.
     """
 
-    walker: ActorCritic
-    mounter: ActorCritic
+    walker: Networks
+    mounter: Networks
     walker_indices: Tensor
     switch_distance: float
 
     def actor_in(self, env: MountEnv) -> Callable[[TensorDictBase], TensorDictBase]:
         """Return an actor that remembers which policy acts in each world; see `skatemount.agents.policy.Policy`."""
         mounting = torch.zeros(env.num_worlds, dtype=torch.bool, device=env.device)
+        # Both act in every step, so that a policy with memory keeps it while the other one is in control.
+        walk, mount = self.walker.actor_in(env), self.mounter.actor_in(env)
 
         def act(state: TensorDictBase) -> TensorDictBase:
             nonlocal mounting
             distance = env.episode.distance
             mounting = (distance < self.switch_distance) | (mounting & (distance < self.switch_distance + MARGIN))
-            walking = self.walker.actor(TensorDict(observation=state["observation"][:, self.walker_indices]))
-            result = self.mounter.actor(state)
+            walking = walk(TensorDict(observation=state["observation"][:, self.walker_indices]))
+            result = mount(state)
             result["action"] = torch.where(mounting.unsqueeze(1), result["action"], walking["action"])
             return result
 

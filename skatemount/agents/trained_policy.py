@@ -15,7 +15,7 @@ from skatemount.agents.interface import action_interface, observation_layout
 from skatemount.agents.policy import Policy
 from skatemount.config import TrainConfig
 from skatemount.envs.task import MountTask
-from skatemount.models.actor_critic import ActorCritic
+from skatemount.models.base import Networks, make_networks
 from skatemount.models.normalization import is_old_count
 from skatemount.runs.checkpoint import PolicyCard, load_policy
 from skatemount.runs.find import find_checkpoint, is_own_run
@@ -24,7 +24,7 @@ from skatemount.runs.shipped import POLICIES, PRETRAINED
 from skatemount.utils.errors import ConfigError
 
 MODULE = "networks"
-"""Name of the `ActorCritic` among the modules of a policy file: ``save_policy(path, {MODULE: ...})``."""
+"""Name of the `Networks` among the modules of a policy file: ``save_policy(path, {MODULE: ...})``."""
 
 
 @dataclass
@@ -38,7 +38,7 @@ class TrainedPolicy:
         path: Checkpoint folder or ``.safetensors`` file that it was loaded from.
     """
 
-    networks: ActorCritic
+    networks: Networks
     config: TrainConfig
     card: PolicyCard
     path: Path
@@ -58,7 +58,7 @@ class TrainedPolicy:
 
         Raises:
             ConfigError: There is no such policy, its weights do not fit its card or this version, or it needs plugins
-                that are not imported and is not of a run inside ``root``.
+                or a class of networks that are not imported and is not of a run inside ``root``.
         """
         path = find_checkpoint(spec, root, setting)
         modules, card = load_policy(path)
@@ -71,7 +71,7 @@ class TrainedPolicy:
         joints = card.action.get("joints")
         if not joints:
             raise ConfigError(f"{setting}={spec}: action.joints of its card must name the joints that its actions move")
-        networks = ActorCritic(config.network, sizes["observation"], sizes["privileged"], len(joints))
+        networks = make_networks(config.network, sizes["observation"], sizes["privileged"], len(joints))
         load_weights(networks, modules, f"{setting}={spec}")
         return cls(networks, config, card, path)
 
@@ -102,7 +102,7 @@ class TrainedPolicy:
         return self.path.stem
 
 
-def load_weights(networks: ActorCritic, modules: Mapping[str, Mapping[str, Tensor]], where: str) -> None:
+def load_weights(networks: Networks, modules: Mapping[str, Mapping[str, Tensor]], where: str) -> None:
     """Load saved weights into networks.
 
     Args:

@@ -17,12 +17,13 @@ from skatemount.agents.interface import (
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, load_weights
 from skatemount.envs import MountTask
 from skatemount.models.actor_critic import ActorCritic
+from skatemount.models.base import Networks
 from skatemount.models.config import NetworkConfig
 from skatemount.models.normalization import RunningNormalizer
 from skatemount.utils.errors import ConfigError
 
 
-def load_pretrained(networks: ActorCritic, agent: TrainedPolicy, task: MountTask, may_expand: bool, where: str) -> None:
+def load_pretrained(networks: Networks, agent: TrainedPolicy, task: MountTask, may_expand: bool, where: str) -> None:
     """Load a policy into the networks of a training.
 
     Args:
@@ -35,9 +36,13 @@ def load_pretrained(networks: ActorCritic, agent: TrainedPolicy, task: MountTask
     Raises:
         ConfigError: It does not fit the networks or the task; the message names the difference.
     """
-    for name in ("activation", "normalize", "symmetric"):
+    for name in ("kind", "params", "activation", "normalize", "symmetric"):
         _check_same(name, networks.config, agent.config.network, where, "")
     if may_expand:
+        if not isinstance(networks, ActorCritic):
+            raise ConfigError(
+                f"{where}: init_from_expand=true needs network.kind=mlp, not {networks.config.kind}; use false"
+            )
         agent.to(networks.deviation.high.device)
         check_actions(agent.card, task, where)
         expand(networks, agent, observation_layout(task), where)
@@ -91,6 +96,8 @@ def expand(networks: ActorCritic, agent: TrainedPolicy, layout: ObservationLayou
         ConfigError: The networks are smaller or read less; the message names the difference.
     """
     old = agent.networks
+    # Both are of the same kind.
+    assert isinstance(old, ActorCritic)
     for name in ("actor", "critic"):
         _check_fits(name, networks.config, old.config, where)
     observation, privileged = (

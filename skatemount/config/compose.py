@@ -19,7 +19,7 @@ from skatemount.config.files import config_dir as package_config_dir
 from skatemount.config.keys import in_words, is_known, keys, unknown
 from skatemount.config.messages import one_line
 from skatemount.config.overrides import prepare
-from skatemount.config.plugins import import_plugins, require_plugins
+from skatemount.config.plugins import import_classes, import_plugins, require_classes, require_plugins
 from skatemount.config.programs import PROGRAMS
 from skatemount.config.schema import TrainConfig
 from skatemount.config.versions import FORMAT, upgrade
@@ -122,13 +122,15 @@ def plain(composed: DictConfig) -> dict[str, Any]:
     return values  # type: ignore[return-value]
 
 
-def checked(values: dict[str, Any], program: str, saved: str | None = None) -> TaskConfig:
+def checked(values: dict[str, Any], program: str, untrusted: str | None = None, training: bool = True) -> TaskConfig:
     """Return plain values as the dataclasses of a program, validated.
 
     Args:
         values: Nested settings; whole numbers that YAML reads as text or floats are changed in place.
         program: A key of `PROGRAMS`.
-        saved: Name of the saved settings whose plugins must be imported already; None imports the plugins.
+        untrusted: Name of settings from elsewhere, whose plugins and classes must be imported already; None imports
+            them.
+        training: The classes that only a training needs are needed.
 
     Raises:
         ConfigError: A key that does not exist, one that is missing, or a value that cannot be used.
@@ -144,11 +146,14 @@ def checked(values: dict[str, Any], program: str, saved: str | None = None) -> T
     except OmegaConfBaseException as error:
         raise ConfigError(_wrong_type(error, values, schema)) from error
     assert isinstance(result, TaskConfig)
-    result.validate()
-    if saved is None:
+    # Before anything that they register is checked. Without plugins, this imports nothing.
+    if untrusted is None:
         import_plugins(result.plugins)
+        import_classes(result, training)
     else:
-        require_plugins(result.plugins, saved)
+        require_plugins(result.plugins, untrusted)
+        require_classes(result, untrusted, training)
+    result.validate()
     result.validate_terms()
     return result
 
@@ -183,19 +188,22 @@ def _wrong_type(error: OmegaConfBaseException, values: dict[str, Any], schema: t
     return f"{key}={'null' if value is None else value} must be {in_words(hint)}"
 
 
-def from_dict(values: dict[str, Any], own: bool = False, where: str = "saved settings") -> TrainConfig:
+def from_dict(
+    values: dict[str, Any], own: bool = False, where: str = "saved settings", training: bool = False
+) -> TrainConfig:
     """Return the settings that a run or a policy card has saved.
 
     Args:
         values: Result of `to_dict`, of this version or an older one; see `skatemount.config.versions`.
-        own: Import their plugins. Only for a run of one's own: settings from elsewhere must not run code.
+        own: Import their plugins and classes. Only for a run of one's own: settings from elsewhere must not run code.
         where: Name of the settings, for messages.
+        training: The classes that only a training needs are needed, because the run is resumed.
 
     Raises:
         ConfigError: They are damaged, of a newer version, or need plugins that are not imported.
     """
     try:
-        config = checked(upgrade(values), "train", None if own else "not a run of your own")
+        config = checked(upgrade(values), "train", None if own else "not a run of your own", training)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from error
     assert isinstance(config, TrainConfig)

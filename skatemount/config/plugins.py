@@ -1,7 +1,8 @@
-"""Plugins: modules of the user that register rewards, observations and terminations of their own.
+"""Plugins: modules of the user that register terms, commands, curricula, robots, networks, losses and so on.
 
-`plugins=[my_package.terms]` imports them before the names of terms are checked. Saved settings name their plugins, but
-only a run of one's own imports them by itself: a policy from elsewhere must not run code.
+`plugins=[my_package.terms]` imports them before the names that they register are checked, and so does a setting that
+names a class, `network.kind=my_package.nets:Mine`. Saved settings name both, but only a run of one's own imports them
+by itself: a policy from elsewhere must not run code.
 """
 
 from __future__ import annotations
@@ -12,13 +13,16 @@ import sys
 import traceback
 from collections.abc import Sequence
 
+from skatemount.config.registries import POLICY_CLASSES, TRAINING_CLASSES, adopt, class_names, registries
+from skatemount.envs.config.task import TaskConfig
+from skatemount.utils.classes import module_of
 from skatemount.utils.errors import ConfigError
 
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*")
 
 
 def import_plugins(plugins: Sequence[str]) -> None:
-    """Import plugins, and check the terms that they register.
+    """Import plugins, and check what they register.
 
     A plugin that fails registers nothing.
 
@@ -26,12 +30,30 @@ def import_plugins(plugins: Sequence[str]) -> None:
         plugins: Dotted names of modules.
 
     Raises:
-        ConfigError: A plugin cannot be imported, or one of its terms cannot be used; the message names both.
+        ConfigError: A plugin cannot be imported, or something that it registers cannot be used; the message names both.
     """
     for name in plugins:
         check_name(name)
         if name not in sys.modules:
-            _import(name)
+            _import(name, written([name]))
+
+
+def import_classes(config: TaskConfig, training: bool = True) -> None:
+    """Import the modules of the classes that settings name as ``module:Class``, and check the classes.
+
+    Args:
+        config: The settings.
+        training: Import those that only a training needs as well.
+
+    Raises:
+        ConfigError: A module cannot be imported, or it has no such class; the message names the setting.
+    """
+    for setting, name in _classes(config, training):
+        registry = (POLICY_CLASSES | TRAINING_CLASSES)[setting]
+        registry.check_name(name, setting)
+        if (module := module_of(name)) not in sys.modules:
+            _import(module, f"{setting}={name}")
+        registry.find(name, setting)
 
 
 def require_plugins(plugins: Sequence[str], where: str) -> None:
@@ -50,6 +72,22 @@ def require_plugins(plugins: Sequence[str], where: str) -> None:
         )
 
 
+def require_classes(config: TaskConfig, where: str, training: bool = True) -> None:
+    """Raise `ConfigError` unless the classes that settings name are there without importing a module.
+
+    Args:
+        config: The settings.
+        where: Name of the settings, for the message.
+        training: Require those that only a training needs as well.
+    """
+    for setting, name in _classes(config, training):
+        (POLICY_CLASSES | TRAINING_CLASSES)[setting].find(name, f"{where}: {setting}")
+
+
+def _classes(config: TaskConfig, training: bool) -> list[tuple[str, str]]:
+    return class_names(config, POLICY_CLASSES | TRAINING_CLASSES if training else POLICY_CLASSES)
+
+
 def check_name(name: str) -> None:
     """Raise `ConfigError` for a name that no module can have."""
     if not _NAME.fullmatch(name):
@@ -61,28 +99,25 @@ def written(plugins: Sequence[str]) -> str:
     return f"plugins=[{','.join(plugins)}]"
 
 
-def _import(name: str) -> None:
-    # Imported here because the terms need torch, which takes seconds to import.
-    from skatemount.envs.observations import OBSERVATIONS
-    from skatemount.envs.rewards import REWARDS
-    from skatemount.envs.terminations import TERMINATIONS
-
-    registries = (REWARDS, OBSERVATIONS, TERMINATIONS)
-    before = [registry.snapshot() for registry in registries]
+def _import(name: str, where: str) -> None:
+    """Import a module of the user; `where` is the setting that names it."""
+    known = registries()
+    before = [registry.snapshot() for registry in known]
     modules = set(sys.modules)
     try:
         importlib.import_module(name)
-        for registry in registries:
+        for registry in known:
             registry.check()
+        adopt(name)
     except (Exception, SystemExit) as error:
-        for registry, saved in zip(registries, before):
+        for registry, saved in zip(known, before):
             registry.restore(saved)
-        # Otherwise the next import would find the modules, but not their terms.
+        # Otherwise the next import would find the modules, but not what they register.
         top = name.partition(".")[0]
         for module in set(sys.modules) - modules:
             if module.partition(".")[0] == top:
                 del sys.modules[module]
-        raise ConfigError(f"{written([name])}: {_reason(name, error)}") from error
+        raise ConfigError(f"{where}: {_reason(name, error)}") from error
 
 
 def _reason(name: str, error: BaseException) -> str:

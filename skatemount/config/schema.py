@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from skatemount.config.files import check_choice
+from skatemount.config.registries import CALLBACKS
 from skatemount.curriculum.config import CurriculumConfig
 from skatemount.envs.config.task import HOLD, TaskConfig
 from skatemount.losses.config import AlgorithmConfig
 from skatemount.models.config import NetworkConfig
+from skatemount.runs.loggers import LOGGERS
 from skatemount.utils.errors import ConfigError
 
 PRECISIONS = ("highest", "medium", "bf16")
@@ -71,6 +73,7 @@ class LoggerConfig:
         name: Name of the run; null takes the stage's name.
         tensorboard: Write TensorBoard events.
         jsonl: Write ``metrics.jsonl``, from which the learning curves are drawn.
+        loggers: Further loggers: names that plugins registered, or ``module:Class`` of your own.
         progress_every: Seconds between two lines of progress when the output is not a terminal.
         plot_every: Seconds between two updates of the learning curves' picture.
         checkpoint_every: Iterations between two checkpoints.
@@ -85,6 +88,7 @@ class LoggerConfig:
     name: str | None
     tensorboard: bool
     jsonl: bool
+    loggers: list[str]
     progress_every: float
     plot_every: float
     checkpoint_every: int
@@ -96,6 +100,12 @@ class LoggerConfig:
     def validate(self, where: str = "logger") -> None:
         """Raise `ConfigError` for values that cannot be used."""
         check_root(self.root, where)
+        for name in self.loggers:
+            LOGGERS.check_name(name, f"{where}.loggers")
+            if name in ("tensorboard", "jsonl"):
+                raise ConfigError(f"{where}.loggers={name}: use {where}.{name}=true")
+            if self.loggers.count(name) > 1:
+                raise ConfigError(f"{where}.loggers: {name} is there twice")
         for name in ("progress_every", "plot_every"):
             if not getattr(self, name) >= 0:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be 0 or more, in seconds")
@@ -114,9 +124,11 @@ class TrainConfig(TaskConfig):
     Attributes:
         stage: Name and initial policy of the stage.
         network: Sizes of the networks.
-        algorithm: Hyper-parameters of PPO.
+        algorithm: Learning algorithm and its hyperparameters.
         curriculum: Choice of the start states during the training.
         collector: Collection of rollouts.
+        callbacks: Callbacks in addition to the default ones: names that plugins registered, or ``module:Class`` of your
+            own.
         logger: Output of a run.
         seed: Seed of all random numbers.
         total_frames: Environment steps of all worlds together, at which the training ends.
@@ -133,6 +145,7 @@ class TrainConfig(TaskConfig):
     algorithm: AlgorithmConfig
     curriculum: CurriculumConfig
     collector: CollectorConfig
+    callbacks: list[str]
     logger: LoggerConfig
     seed: int
     total_frames: int
@@ -150,6 +163,10 @@ class TrainConfig(TaskConfig):
         self.curriculum.validate("curriculum")
         self.collector.validate("collector")
         self.logger.validate("logger")
+        for name in self.callbacks:
+            CALLBACKS.check_name(name, "callbacks")
+            if self.callbacks.count(name) > 1:
+                raise ConfigError(f"callbacks: {name} is there twice")
         check_seed(self.seed)
         self._validate_curriculum()
         self._check_gate("stage.gate", self.stage.gate)

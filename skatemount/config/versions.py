@@ -12,7 +12,7 @@ from typing import Any
 from skatemount.runs.shipped import ALIASES
 from skatemount.utils.errors import ConfigError
 
-FORMAT = 2
+FORMAT = 3
 
 RENAMED: dict[str, str] = {
     "algorithm.clip": "algorithm.clip_epsilon",
@@ -51,9 +51,19 @@ ADDED: dict[str, Any] = {
     "physics.max_constraints": 160,
     "physics.max_contacts": 48,
     "physics.tolerance": 1e-8,
-    "plugins": [],
 }
 """Settings that saved files of format 1 may lack, with the value that they had when they were not settings yet."""
+
+ADDED_LATER: dict[str, Any] = {
+    "algorithm.kind": "ppo",
+    "algorithm.params": {},
+    "callbacks": [],
+    "logger.loggers": [],
+    "network.kind": "mlp",
+    "network.params": {},
+    "plugins": [],
+}
+"""The same for files of formats 1 and 2."""
 
 
 REMOVED = ("bench", "checkpoint", "episode", "episodes", "json", "output", "pipeline", "suite", "switch_distance")
@@ -75,10 +85,23 @@ def upgrade(values: dict[str, Any]) -> dict[str, Any]:
         raise ConfigError(f"format={saved!r} must be a whole number from 1 to {FORMAT}")
     if saved > FORMAT:
         raise ConfigError(f"format={saved} is newer than {FORMAT}, the newest that this version reads")
-    if saved == FORMAT:
-        # The first files of this format lack it.
-        values.setdefault("plugins", [])
-        return values
+    if saved < 2:
+        _rename(values)
+        _add(values, ADDED)
+    if saved < 3:
+        _add(values, ADDED_LATER)
+    return values
+
+
+def rename_override(override: str) -> str:
+    """Return a command line's override with the setting's name of today."""
+    prefix = override[: len(override) - len(override.lstrip("+~"))]
+    key, equals, value = override[len(prefix) :].partition("=")
+    return f"{prefix}{RENAMED.get(key, key)}{equals}{value}"
+
+
+def _rename(values: dict[str, Any]) -> None:
+    """Bring settings of format 1 under today's names, in place."""
     for old, new in RENAMED.items():
         *groups, name = old.split(".")
         holder = _group(values, groups)
@@ -90,17 +113,13 @@ def upgrade(values: dict[str, Any]) -> dict[str, Any]:
         if isinstance(spec := holder.get("init_from"), str):
             prefix, colon, name = spec.partition(":")
             holder["init_from"] = f"{prefix}{colon}{ALIASES.get(name, name)}"
-    for key, value in ADDED.items():
+
+
+def _add(values: dict[str, Any], added: dict[str, Any]) -> None:
+    """Give the settings that are missing the value of their time, in place."""
+    for key, value in added.items():
         *groups, name = key.split(".")
         _group(values, groups).setdefault(name, copy.deepcopy(value))
-    return values
-
-
-def rename_override(override: str) -> str:
-    """Return a command line's override with the setting's name of today."""
-    prefix = override[: len(override) - len(override.lstrip("+~"))]
-    key, equals, value = override[len(prefix) :].partition("=")
-    return f"{prefix}{RENAMED.get(key, key)}{equals}{value}"
 
 
 def _group(values: dict[str, Any], names: list[str]) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -73,14 +72,12 @@ def make_curriculum(
     """
     if config.kind in ("none", "stages"):
         return None
-    module, _, name = CURRICULA.get(config.kind, config.kind).partition(":")
+    cls = CURRICULA.find(config.kind, "curriculum.kind")
     try:
         with device or torch.device("cpu"):
-            made = getattr(importlib.import_module(module), name)(config, deck_height)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
+            made: Curriculum = cls(config, deck_height)
+    except (TypeError, ValueError, KeyError) as error:
         if isinstance(error, ConfigError):
             raise
-        raise ConfigError(
-            f"curriculum.kind={config.kind} must be auto, none, stages or the module:Class of a curriculum ({error})"
-        ) from error
+        raise ConfigError(f"curriculum.kind={config.kind} cannot be made: {error!r}") from error
     return made

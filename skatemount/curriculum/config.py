@@ -5,13 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from skatemount.utils.classes import ClassRegistry
 from skatemount.utils.errors import ConfigError
 
-CURRICULA = {"auto": "skatemount.curriculum.auto:AutoCurriculum"}
-"""Curricula of initial states, as ``module:Class`` by kind. Any other kind is itself a ``module:Class``."""
-
-
-KINDS = ("none", "stages", *CURRICULA)
+CURRICULA = ClassRegistry(
+    "curriculum",
+    {"auto": "skatemount.curriculum.auto:AutoCurriculum"},
+    methods=("sample_poses", "observe_step", "update", "metrics", "draw", "state_dict", "load_state_dict"),
+    base="skatemount.curriculum.base.Curriculum",
+    reserved=("none", "stages"),
+)
+"""Curricula of initial states by ``curriculum.kind``."""
 
 
 @dataclass
@@ -40,7 +44,7 @@ class CurriculumConfig:
 
     Attributes:
         kind: ``none`` (the stage's start ranges throughout), ``stages`` (several stages, one after the other),
-            ``auto``, or your own `Curriculum` as ``module:Class``.
+            ``auto``, the name of a plugin's, or ``module:Class`` of your own `Curriculum`.
         name: Name of a chain of stages.
         stages: The stages of a chain, in order.
         params: Settings of your own curriculum.
@@ -88,10 +92,7 @@ class CurriculumConfig:
 
     def validate(self, where: str = "curriculum") -> None:
         """Raise `ConfigError` if a setting cannot be used."""
-        if self.kind not in KINDS and ":" not in self.kind:
-            raise ConfigError(
-                f"{where}.kind={self.kind} must be one of {', '.join(KINDS)}, or module:Class for one of your own"
-            )
+        CURRICULA.check_name(self.kind, f"{where}.kind")
         self._validate_stages(where)
         for name in ("distances", "bearings", "headings", "heights"):
             edges = getattr(self, name)

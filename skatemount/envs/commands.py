@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from skatemount.envs.config.commands import CommandConfig
+from skatemount.envs.config.commands import COMMANDS, MODES, CommandConfig
 from skatemount.envs.sampling import uniform
 from skatemount.envs.state import EpisodeState, SimState
 
@@ -52,6 +52,8 @@ class CommandGenerator:
         self._steps = max(1, round(config.resample / control_step))
         self._generator = generator
         self._bounds = torch.tensor([config.forward, config.left, config.turn], device=generator.device)
+        own = None if config.mode in MODES else COMMANDS.find(config.mode, "command.mode")
+        self._own = None if own is None else own(config, control_step, generator)
 
     def update(self, sim: SimState, episode: EpisodeState) -> None:
         """Set the command of every world for the next step, in place.
@@ -60,7 +62,9 @@ class CommandGenerator:
             sim: The state.
             episode: The episodes. With sampled commands, a world whose ``command_steps`` have run out gets a new one.
         """
-        if self._config.mode == "board":
+        if self._own is not None:
+            self._own.update(sim, episode)
+        elif self._config.mode == "board":
             episode.command = toward_board(sim, episode.board_direction if self._config.turn_to == "nearer" else None)
         elif self._config.mode == "sampled":
             due = episode.command_steps <= 0

@@ -1,18 +1,32 @@
-"""Settings of PPO."""
+"""Settings of the learning algorithm."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
+from skatemount.utils.classes import ClassRegistry
 from skatemount.utils.errors import ConfigError
+
+ALGORITHMS = ClassRegistry(
+    "algorithm",
+    {"ppo": "skatemount.losses.ppo:PPO"},
+    methods=("update", "state_dict", "load_state_dict", "step_schedules", "use_min_learning_rate"),
+    base="skatemount.losses.base.Algorithm",
+    given=("config", "networks", "control_step", "bf16", "generator"),
+)
+"""Learning algorithms by ``algorithm.kind``."""
 
 
 @dataclass
 class AlgorithmConfig:
-    """Hyperparameters of PPO.
+    """Hyperparameters of PPO, and of algorithms that build on it.
 
     Attributes:
+        kind: Class of the algorithm: ``ppo`` (`skatemount.losses.ppo.PPO`), the name of a plugin's, or
+            ``module:Class`` of your own.
+        params: Parameters of your own class, by name.
         epochs: Number of passes over a batch.
         minibatches: Number of minibatches of a batch, each of them one gradient step.
         learning_rate: Initial learning rate.
@@ -37,6 +51,8 @@ class AlgorithmConfig:
             and a C++ compiler must be installed.
     """
 
+    kind: str
+    params: dict[str, Any]
     epochs: int
     minibatches: int
     learning_rate: float
@@ -58,6 +74,7 @@ class AlgorithmConfig:
 
     def validate(self, where: str = "algorithm") -> None:
         """Raise `ConfigError` if a setting cannot be used."""
+        ALGORITHMS.check_choice(self.kind, self.params, where)
         for name in ("epochs", "minibatches"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")

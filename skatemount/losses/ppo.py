@@ -11,16 +11,14 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torch._dynamo.exc import BackendCompilerFailed
-from torchrl.modules import IndependentNormal
-from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR
+from torchrl.modules import IndependentNormal, set_recurrent_mode
+from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR, LossModule
 from torchrl.objectives.value import GAE
 
+from skatemount.losses.base import Algorithm
 from skatemount.losses.config import AlgorithmConfig
-from skatemount.models.actor_critic import ActorCritic
+from skatemount.models.base import Networks
 from skatemount.utils.errors import ConfigError
-
-LOSS_KEYS = ("action", "action_log_prob", "advantage", "value_target", "state_value")
-"""Keys of a batch that the loss reads, in addition to the inputs of the networks."""
 
 KL_STATES = 4096
 """Number of states in which the KL of an update is measured; up to twice as many if it does not divide the batch."""
@@ -37,8 +35,10 @@ def _moments(distribution: IndependentNormal) -> tuple[Tensor, Tensor]:
     return normal.loc.float(), normal.scale.float()
 
 
-class PPO:
-    """Proximal policy optimization of an `ActorCritic` (Schulman et al., 2017).
+class PPO(Algorithm):
+    """Proximal policy optimization (Schulman et al., 2017).
+
+    Minibatches are of single steps; those of a network with memory are of worlds, each with its whole sequence.
 
     Args:
         config: Hyperparameters.
@@ -51,35 +51,25 @@ class PPO:
         config: Hyperparameters.
         networks: Actor and critic.
         loss: TorchRL's loss.
+        loss_keys: Keys of a batch that the loss reads, in addition to the inputs of the networks.
         optimizer: Adam.
     """
+
+    loss_keys: tuple[str, ...] = ("action", "action_log_prob", "advantage", "value_target", "state_value")
 
     def __init__(
         self,
         config: AlgorithmConfig,
-        networks: ActorCritic,
+        networks: Networks,
         control_step: float,
         bf16: bool = False,
         generator: torch.Generator | None = None,
     ):
-        self.config = config
-        self.networks = networks
+        super().__init__(config, networks, control_step)
         self._bf16 = bf16
         self._generator = generator
         self._actor, self._critic = networks.learners()
-        self.loss = ClipPPOLoss(
-            *networks.learners(config.compile),
-            clip_epsilon=config.clip_epsilon,
-            entropy_bonus=config.entropy_coeff > 0,
-            entropy_coeff=config.entropy_coeff,
-            critic_coeff=config.critic_coeff,
-            loss_critic_type="l2",
-            clip_value=config.clip_epsilon if config.clip_value else None,
-            normalize_advantage=False,
-            log_explained_variance=False,
-            # Train the networks in place, so that the collector always has the newest weights.
-            functional=False,
-        )
+        self.loss = self.make_loss(*networks.learners(config.compile))
         gamma, lmbda = math.exp(-control_step / config.discount_horizon), math.exp(-control_step / config.gae_horizon)
         self._gae = GAE(gamma=gamma, lmbda=lmbda, value_network=None)
         learned = {name: p for name, p in networks.named_parameters() if p.requires_grad}
@@ -93,6 +83,32 @@ class PPO:
                 min_lr=config.min_learning_rate,
                 max_lr=config.max_learning_rate,
             )
+
+    def make_loss(self, actor: Any, critic: Any) -> LossModule:
+        """Return TorchRL's loss; a subclass may return another one.
+
+        The losses are its outputs whose names begin with ``loss_``; all its outputs are logged.
+
+        Args:
+            actor: The actor, as `Networks.learners` returns it.
+            critic: The critic.
+        """
+        return ClipPPOLoss(actor, critic, clip_epsilon=self.config.clip_epsilon, **self.loss_options())
+
+    def loss_options(self) -> dict[str, Any]:
+        """Return the options that TorchRL's PPO losses have in common, by the settings."""
+        c = self.config
+        return {
+            "entropy_bonus": c.entropy_coeff > 0,
+            "entropy_coeff": c.entropy_coeff,
+            "critic_coeff": c.critic_coeff,
+            "loss_critic_type": "l2",
+            "clip_value": c.clip_epsilon if c.clip_value else None,
+            "normalize_advantage": False,
+            "log_explained_variance": False,
+            # Train the networks in place, so that the collector always has the newest weights.
+            "functional": False,
+        }
 
     @property
     def learning_rate(self) -> float:
@@ -143,16 +159,18 @@ class PPO:
         self._check_finite(batch)
         self.networks.observe(batch)
         inputs = self.networks.prepare(batch)
-        with self._autocast():
+        with self._computing():
             self._fill_values(batch, inputs)
         self._gae(batch)
         advantage = batch["advantage"]
         batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        flat = inputs.update(batch.select(*LOSS_KEYS)).flatten(0, 1)
+        rows = inputs.update(batch.select(*self.loss_keys))
+        # Rows are single steps; or worlds, with all steps of each.
+        flat = rows if self.networks.recurrent else rows.flatten(0, 1)
         # A few thousand states estimate the KL as well as the whole batch.
-        sample = flat.select("actor_input")[:: max(1, len(flat) // KL_STATES)]
-        with torch.no_grad(), self._autocast():
-            loc, scale = _moments(self._actor.get_dist(sample))
+        sample = flat.select(*self._actor.in_keys)[:: max(1, flat.numel() // KL_STATES)]
+        with torch.no_grad(), self._computing():
+            loc, scale = _moments(self._actor.get_dist(sample.copy()))
             # The scale is a view of the parameter, which the update changes.
             scale = scale.clone()
 
@@ -163,7 +181,8 @@ class PPO:
             order = torch.randperm(flat.shape[0], generator=self._generator, device=self._parameters[0].device)
             for rows in order.chunk(self.config.minibatches):
                 # index_select copies whole rows, which is faster than indexing.
-                part = flat.apply(lambda values, rows=rows: values.index_select(0, rows), batch_size=[len(rows)])
+                size = [len(rows), *flat.batch_size[1:]]
+                part = flat.apply(lambda values, rows=rows: values.index_select(0, rows), batch_size=size)
                 losses = self._step(part)
                 updates += 1
                 for name, value in losses.items():
@@ -173,20 +192,29 @@ class PPO:
             # Once per batch. The first minibatches are close to the old policy, so a schedule that steps after each of
             # them raises the rate several times before it can lower it again.
             self._schedule.step(kl)
+        means = {name: float(value) / updates for name, value in sums.items()}
         return {
-            "Loss/surrogate": float(sums["loss_objective"]) / updates,
-            "Loss/value_function": float(sums["loss_critic"]) / updates,
-            "Loss/entropy": float(sums.get("entropy", torch.zeros(()))) / updates,
-            "Loss/clip_fraction": float(sums["clip_fraction"]) / updates,
+            "Loss/surrogate": means["loss_objective"],
+            "Loss/value_function": means["loss_critic"],
+            "Loss/entropy": means.get("entropy", 0.0),
+            **self.loss_metrics(means),
             "Loss/kl": kl,
             "Loss/learning_rate": self.learning_rate,
             "Policy/mean_std": float(scale.mean()),
         }
 
+    def loss_metrics(self, means: dict[str, float]) -> dict[str, float]:
+        """Return the metrics of one's own loss, under ``Loss/*``.
+
+        Args:
+            means: Means of the loss's outputs over the minibatches, by name.
+        """
+        return {"Loss/clip_fraction": means["clip_fraction"]}
+
     def _check_finite(self, batch: TensorDictBase) -> None:
         """Raise `FloatingPointError` for values that are not finite, which would stay in the normalizers forever."""
-        keys = [*self.networks.critic_keys, "action"]
-        for key in [("next", "reward"), *keys, *(("next", key) for key in self.networks.critic_keys)]:
+        seen = dict.fromkeys([*self.networks.critic_keys, *self.networks.actor_keys])
+        for key in [("next", "reward"), *seen, "action", *(("next", key) for key in seen)]:
             finite = torch.isfinite(batch[key]).flatten(1).all(1)
             if not bool(finite.all()):
                 name = key if isinstance(key, str) else ".".join(key)
@@ -195,7 +223,7 @@ class PPO:
     def _step(self, part: TensorDictBase) -> dict[str, Tensor]:
         """Take a gradient step on a minibatch, ``[rows]``, and return the losses."""
         try:
-            with self._autocast():
+            with self._computing():
                 losses = self.loss(part)
         except BackendCompilerFailed as error:
             raise ConfigError(
@@ -218,12 +246,12 @@ class PPO:
         Uses the closed form for diagonal Gaussians.
 
         Args:
-            part: ``[rows]`` with ``actor_input``.
+            part: ``[rows]`` or ``[rows, T]``, the actor's inputs.
             loc: ``[rows, actions]`` means before the update.
             scale: ``[rows, actions]`` standard deviations before the update.
         """
-        with self._autocast():
-            new_loc, new_scale = _moments(self._actor.get_dist(part))
+        with self._computing():
+            new_loc, new_scale = _moments(self._actor.get_dist(part.copy()))
         ratio = scale / new_scale
         kl = -ratio.log() + 0.5 * (ratio.square() + ((loc - new_loc) / new_scale).square() - 1)
         return float(kl.sum(-1).mean())
@@ -237,10 +265,10 @@ class PPO:
 
         Args:
             batch: ``[N, T]``, gets ``state_value`` and ``next/state_value``.
-            inputs: ``[N, T]`` with ``critic_input``.
+            inputs: ``[N, T]``, what the learners read.
         """
         critic, keys = self.networks.critic, self.networks.critic_keys
-        value = self._critic(inputs.select("critic_input"))["state_value"].float()
+        value = self._critic(inputs.select(*self._critic.in_keys))["state_value"].float()
         following = torch.empty_like(value)
         following[:, :-1] = value[:, 1:]
         recompute = batch["next", "done"] & ~batch["next", "terminated"]
@@ -251,12 +279,13 @@ class PPO:
         batch["next", "state_value"] = following
 
     @contextlib.contextmanager
-    def _autocast(self) -> Iterator[None]:
-        """Use bfloat16 for the matrix products of a ``with`` block, if the settings ask for it."""
-        if not self._bf16:
-            yield
-            return
-        with torch.autocast(self._parameters[0].device.type, dtype=torch.bfloat16):
+    def _computing(self) -> Iterator[None]:
+        """Use bfloat16 for the matrix products of a ``with`` block, if the settings ask for it, and whole sequences."""
+        with contextlib.ExitStack() as stack:
+            if self._bf16:
+                stack.enter_context(torch.autocast(self._parameters[0].device.type, dtype=torch.bfloat16))
+            if self.networks.recurrent:
+                stack.enter_context(set_recurrent_mode(True))
             yield
 
     def state_dict(self) -> dict[str, Any]:

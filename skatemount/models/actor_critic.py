@@ -9,11 +9,11 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
-from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 from torchrl.modules import MLP, IndependentNormal, ProbabilisticActor, ValueOperator
 
 from skatemount.models.activations import ELU
+from skatemount.models.base import Networks
 from skatemount.models.config import NetworkConfig
 from skatemount.models.distributions import BoundedNormalScale
 from skatemount.models.normalization import RunningNormalizer
@@ -63,8 +63,8 @@ class FromEvenOdd(nn.Module):
         return self.network.forward_even_odd(parts)
 
 
-class ActorCritic(nn.Module):
-    """Actor and critic, and the keys of a tensordict that each of them reads.
+class ActorCritic(Networks):
+    """Multilayer perceptrons for actor and critic.
 
     Args:
         config: Settings of both networks.
@@ -81,9 +81,6 @@ class ActorCritic(nn.Module):
         normalizers: Normalizers of the actor's and of the critic's input; empty without normalization.
     """
 
-    actor_keys = ("observation",)
-    critic_keys = ("observation", "privileged")
-
     def __init__(
         self,
         config: NetworkConfig,
@@ -92,9 +89,7 @@ class ActorCritic(nn.Module):
         actions: int,
         reflections: tuple[Reflection, Reflection, Reflection] | None = None,
     ):
-        super().__init__()
-        config.validate()
-        self.config = config
+        super().__init__(config, observation, privileged, actions, reflections)
         sizes = (observation, observation + privileged)
         of_observation, of_privileged, of_action = reflections or map(
             Reflection.identity, (observation, privileged, actions)
@@ -123,10 +118,6 @@ class ActorCritic(nn.Module):
         deviation = BoundedNormalScale(actions, config, of_action if config.symmetric else None)
         self.actor = _gaussian_actor(nn.Sequential(policy, deviation), "observation")
         self.critic = ValueOperator(Join(value), in_keys=list(self.critic_keys))
-
-    def actor_in(self, env: EnvBase) -> ProbabilisticActor:
-        """Return the actor, which acts alike in every environment; see `skatemount.agents.policy.Policy`."""
-        return self.actor
 
     def learners(self, compiled: bool = False) -> tuple[ProbabilisticActor, ValueOperator]:
         """Return an actor and a critic that share the layers and read what `prepare` returns.

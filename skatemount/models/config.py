@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+from skatemount.utils.classes import ClassRegistry
 from skatemount.utils.errors import ConfigError
 
 ACTIVATIONS = ("elu", "relu", "tanh", "silu")
+
+NETWORKS = ClassRegistry(
+    "network",
+    {"mlp": "skatemount.models.actor_critic:ActorCritic"},
+    methods=("learners", "prepare", "observe", "reset_statistics", "limit_std", "actor_in", "transforms", "state_dict"),
+    base="skatemount.models.base.Networks",
+    given=("config", "observation", "privileged", "actions", "reflections"),
+)
+"""Actors and critics by ``network.kind``."""
 
 
 @dataclass
@@ -14,6 +25,9 @@ class NetworkConfig:
     """Settings of actor and critic.
 
     Attributes:
+        kind: Class of the networks: ``mlp`` (`skatemount.models.actor_critic.ActorCritic`), the name of a plugin's, or
+            ``module:Class`` of your own.
+        params: Parameters of your own class, by name.
         actor: Sizes of the actor's hidden layers.
         critic: Sizes of the critic's hidden layers.
         activation: ``elu``, ``relu``, ``tanh`` or ``silu``.
@@ -25,6 +39,8 @@ class NetworkConfig:
             the same value.
     """
 
+    kind: str
+    params: dict[str, Any]
     actor: list[int]
     critic: list[int]
     activation: str
@@ -36,6 +52,7 @@ class NetworkConfig:
 
     def validate(self, where: str = "network") -> None:
         """Raise `ConfigError` if a setting cannot be used."""
+        NETWORKS.check_choice(self.kind, self.params, where)
         for name in ("actor", "critic"):
             sizes = getattr(self, name)
             if not sizes or min(sizes) < 1:

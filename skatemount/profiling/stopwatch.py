@@ -88,7 +88,8 @@ def profile_trainer(trainer: Trainer) -> Iterator[Stopwatch]:
     Yields:
         The stopwatch; its parts are `COLLECTING` and `LEARNING`.
     """
-    env, ppo = trainer.env, trainer.ppo
+    env, algorithm = trainer.env, trainer.algorithm
+    learning = {"_fill_values": "values and GAE", "_gae": "values and GAE", "_step": "update"}
     stopwatch = Stopwatch(partial(seconds, env.physics.device))
     undo = [
         stopwatch.time(env.physics, "step", "physics"),
@@ -99,9 +100,8 @@ def profile_trainer(trainer: Trainer) -> Iterator[Stopwatch]:
         stopwatch.time(env.mdp, "advance", "episode"),
         stopwatch.time(env, "_restart", "reset", whole=True),
         stopwatch.time(trainer.networks.actor, "forward", "policy"),
-        stopwatch.time(ppo, "_fill_values", "values and GAE"),
-        stopwatch.time(ppo, "_gae", "values and GAE"),
-        stopwatch.time(ppo, "_step", "update"),
+        # An algorithm of the user's may have none of them.
+        *(stopwatch.time(algorithm, each, part) for each, part in learning.items() if hasattr(algorithm, each)),
     ]
     try:
         yield stopwatch

@@ -2,17 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol
 
 from skatemount.runs.metrics import MetricsFile
+from skatemount.utils.classes import ClassRegistry
 from skatemount.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from skatemount.runs.folder import RunFolder
 
 
+LOGGERS = ClassRegistry(
+    "logger",
+    {
+        "tensorboard": "skatemount.runs.loggers:TensorBoardLogger",
+        "jsonl": "skatemount.runs.loggers:JsonLinesLogger",
+    },
+    methods=("log", "close"),
+    base="skatemount.runs.loggers.Logger",
+)
+"""Loggers by name."""
+
+
 class Logger(Protocol):
-    """Receives the metrics of every iteration."""
+    """Receives the metrics of every iteration.
+
+    The constructor of one's own logger takes the `RunFolder`, and ``resume_at``: the environment steps of the
+    checkpoint that the run resumes from, or None. What was logged beyond them happens again.
+    """
 
     def log(self, metrics: dict[str, float], frames: int) -> None:
         """Write the metrics of an iteration.
@@ -65,26 +83,39 @@ class TensorBoardLogger:
         self._events.close()
 
 
-def open_loggers(run: RunFolder, file: bool = True, tensorboard: bool = True, frames: int = 0) -> list[Logger]:
-    """Open the loggers of a run.
+class JsonLinesLogger(MetricsFile):
+    """Writes ``metrics.jsonl`` into a run folder; see `MetricsFile`."""
 
-    A logger for another service implements `Logger` and is opened here.
+    def __init__(self, run: RunFolder, resume_at: int | None = None) -> None:
+        """Open the file; the arguments are those of `TensorBoardLogger`."""
+        super().__init__(run.path / "metrics.jsonl", resume_at)
+
+
+def open_loggers(
+    run: RunFolder, file: bool = True, tensorboard: bool = True, frames: int = 0, others: Sequence[str] = ()
+) -> list[Logger]:
+    """Open the loggers of a run.
 
     Args:
         run: The run folder.
         file: Write `metrics.jsonl`.
         tensorboard: Write TensorBoard events.
         frames: Environment steps that are already trained; what was logged beyond is dropped.
+        others: Further loggers, by their names in ``logger.loggers``.
 
     Raises:
-        ConfigError: TensorBoard is asked for and not installed.
+        ConfigError: A logger cannot be opened, such as TensorBoard where it is not installed.
     """
-    resume_at = frames or None
-    loggers: list[Logger] = []
-    if tensorboard:
-        loggers.append(TensorBoardLogger(run, resume_at))
-    if file:
-        loggers.append(MetricsFile(run.path / "metrics.jsonl", resume_at))
+    names = [*(["tensorboard"] if tensorboard else []), *(["jsonl"] if file else [])]
+    loggers: list[Logger] = [LOGGERS.find(name, f"logger.{name}")(run, frames or None) for name in names]
+    for name in others:
+        cls = LOGGERS.find(name, "logger.loggers")
+        try:
+            loggers.append(cls(run, frames or None))
+        except (TypeError, ValueError) as error:
+            if isinstance(error, ConfigError):
+                raise
+            raise ConfigError(f"logger.loggers={name} cannot be opened: {' '.join(str(error).split())}") from error
     return loggers
 
 

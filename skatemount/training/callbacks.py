@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from tensordict import TensorDictBase
 
+from skatemount.config.registries import CALLBACKS, HOOKS
 from skatemount.runs.loggers import Logger, as_numbers, open_loggers
 from skatemount.training.plots import plot_learning_curves
+from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_count
 
 if TYPE_CHECKING:
@@ -98,7 +100,9 @@ class LoggerCallback(Callback):
     def on_train_start(self, trainer: Trainer) -> None:
         """Open the loggers."""
         settings = trainer.config.logger
-        self.loggers += open_loggers(trainer.run, settings.jsonl, settings.tensorboard, trainer.frames)
+        self.loggers += open_loggers(
+            trainer.run, settings.jsonl, settings.tensorboard, trainer.frames, settings.loggers
+        )
         self.loggers.append(trainer.display)
 
     def on_iteration_end(self, trainer: Trainer, metrics: dict[str, float]) -> None:
@@ -152,6 +156,27 @@ class PlotCallback(Callback):
             plot_learning_curves(run.metrics_file, run.curves_png, title=run.path.name)
         if trainer.curriculum is not None:
             trainer.curriculum.draw(run.curriculum_png, f"{run.path.name}, {format_count(trainer.frames)} steps")
+
+
+def make_callbacks(names: Sequence[str]) -> list[Callback]:
+    """Make the callbacks that the settings name.
+
+    Args:
+        names: The setting ``callbacks``: registered names, or ``module:Class``.
+
+    Raises:
+        ConfigError: There is no such class, it overrides no method of `Callback`, or it cannot be made.
+    """
+    made: list[Callback] = []
+    for name in names:
+        where, cls = f"callbacks={name}", CALLBACKS.find(name, "callbacks")
+        if all(getattr(cls, hook) is getattr(Callback, hook) for hook in HOOKS):
+            raise ConfigError(f"{where}: {cls.__name__} does nothing; override one of {', '.join(HOOKS)}")
+        try:
+            made.append(cls())
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"{where} cannot be made without arguments: {' '.join(str(error).split())}") from error
+    return made
 
 
 def arrange_callbacks(callbacks: Iterable[Callback] = ()) -> list[Callback]:

@@ -151,13 +151,13 @@ class Chain:
             ConfigError: An override that cannot be changed in the middle of a run.
         """
         own, where = is_own_run(run.path, config.logger.root), f"resume={config.resume}: saved settings"
-        saved = configuration.from_dict(run.config, own=own, where=where)
+        saved = configuration.from_dict(run.config, own=own, where=where, training=True)
         path = run.path / CONFIGS_FILE
         try:
             values = yaml.safe_load(path.read_text(encoding="utf-8"))
         except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
             raise ConfigError(f"{path}: cannot be read, and the chain cannot resume without it") from error
-        stages = {name: configuration.from_dict(stage, own=own, where=where) for name, stage in values.items()}
+        stages = {name: configuration.from_dict(stage, own, where, training=True) for name, stage in values.items()}
         for each in (saved, *stages.values()):
             apply_resume_overrides(each, config, overrides)
         return cls(run, saved, stages, overrides, callbacks)

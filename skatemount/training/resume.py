@@ -27,7 +27,7 @@ def resume_config(config: TrainConfig, overrides: list[str]) -> TrainConfig:
     folder = find_checkpoint(config.resume, Path(config.logger.root), setting="resume")
     run = RunFolder.open(folder, setting="resume")
     own = is_own_run(folder, config.logger.root)
-    saved = configuration.from_dict(run.config, own=own, where=f"resume={config.resume}: saved settings")
+    saved = configuration.from_dict(run.config, own=own, where=f"resume={config.resume}: saved settings", training=True)
     apply_resume_overrides(saved, config, overrides)
     # A run stands for its latest checkpoint, which is looked for once no other process can add one.
     named = Path(config.resume)

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from torchrl.collectors import Collector
+from torchrl.envs import Compose, EnvBase, TransformedEnv
 
 from skatemount import config as configuration
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
@@ -25,13 +26,14 @@ from skatemount.envs.mirror import mirror_map
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.evaluation.evaluator import EVALUATION_SEED, NUM_WORLDS, Evaluator
 from skatemount.evaluation.results import Evaluation
-from skatemount.losses.ppo import PPO
-from skatemount.models.actor_critic import ActorCritic
+from skatemount.losses.base import make_algorithm
+from skatemount.models import base as models
+from skatemount.models.base import Networks
 from skatemount.models.symmetry import Reflection
 from skatemount.runs import checkpoint
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
-from skatemount.training.callbacks import Callback, arrange_callbacks
+from skatemount.training.callbacks import Callback, arrange_callbacks, make_callbacks
 from skatemount.training.progress import Progress
 from skatemount.training.state import (
     Attributes,
@@ -56,14 +58,14 @@ def set_up_process(config: TrainConfig) -> None:
     torch.set_float32_matmul_precision("highest" if config.precision == "highest" else "medium")
 
 
-def make_networks(config: TrainConfig, mdp: Mdp) -> ActorCritic:
+def make_networks(config: TrainConfig, mdp: Mdp) -> Networks:
     """Return untrained networks for the observations and actions of a task."""
     observation, privileged, layout = mdp.observation, mdp.privileged, mdp.context.layout
     reflections = None
     if config.network.symmetric:
         images = observation.mirror(), privileged.mirror(), mirror_map("joints", layout.num_joints, layout)
         reflections = Reflection(*images[0]), Reflection(*images[1]), Reflection(*images[2])
-    return ActorCritic(config.network, observation.size, privileged.size, layout.num_joints, reflections)
+    return models.make_networks(config.network, observation.size, privileged.size, layout.num_joints, reflections)
 
 
 class Trainer:
@@ -77,14 +79,15 @@ class Trainer:
         config: Every setting.
         overrides: The overrides of the command line, which the run folder keeps.
         parent: The run that this one becomes a part of, in a folder named ``logger.name``; a run of its own if none.
-        callbacks: Callbacks that run in addition to the default ones; see `skatemount.training.callbacks`. One that is
-            a subclass of a default one, such as `EvaluationCallback`, replaces it.
+        callbacks: Callbacks that run in addition to the default ones and those that the settings name; see
+            `skatemount.training.callbacks`. One that is a subclass of a default one, such as `EvaluationCallback`,
+            replaces it.
 
     Attributes:
         config: Every setting.
         run: The run folder.
         task, env: The task, and its worlds.
-        networks, ppo: Actor and critic, and the algorithm that trains them.
+        networks, algorithm: Actor and critic, and the algorithm that trains them.
         curriculum: The curriculum; none if start states are the stage's own.
         callbacks: All callbacks, in the order in which they run.
         display: Shows the progress.
@@ -118,7 +121,12 @@ class Trainer:
         device = self.env.physics.device
         self.networks = make_networks(config, mdp).to(device)
         self._minibatch_generator = torch.Generator(device).manual_seed(config.seed)
-        self.ppo = PPO(
+        if self.networks.recurrent and config.algorithm.minibatches > self.env.num_worlds:
+            raise ConfigError(
+                f"algorithm.minibatches={config.algorithm.minibatches} must be at most the {self.env.num_worlds} "
+                f"worlds: network.kind={config.network.kind} learns from whole sequences"
+            )
+        self.algorithm = make_algorithm(
             config.algorithm,
             self.networks,
             mdp.context.control_step,
@@ -132,7 +140,7 @@ class Trainer:
         self._stuck_states: StuckStateBuffer | None = None
         if config.curriculum.stuck_start_fraction:
             self._stuck_states = StuckStateBuffer(self.env, config.curriculum.stuck_start_fraction)
-        self.callbacks = arrange_callbacks(callbacks)
+        self.callbacks = arrange_callbacks([*callbacks, *make_callbacks(config.callbacks)])
         self.frames = self.iteration = self.saved_frames = 0
         self.elapsed = 0.0
         self._stopped = False
@@ -153,7 +161,7 @@ class Trainer:
         else:
             self.started_from = self._initialize()
             if self.started_from is not None:
-                self.ppo.use_min_learning_rate()
+                self.algorithm.use_min_learning_rate()
                 if config.stage.renormalize:
                     self.networks.reset_statistics()
                     self._collect_normalizer_stats = True
@@ -182,7 +190,8 @@ class Trainer:
     @property
     def parts(self) -> dict[str, Stateful]:
         """The named parts of the training state, which a checkpoint keeps."""
-        parts: dict[str, Stateful] = {"networks": self.networks, "ppo": self.ppo}
+        # Saved runs have the name "ppo" for the state of any algorithm.
+        parts: dict[str, Stateful] = {"networks": self.networks, "ppo": self.algorithm}
         if self.curriculum is not None:
             parts["curriculum"] = self.curriculum
         return parts | {
@@ -205,7 +214,7 @@ class Trainer:
         self.saved_frames = self.frames
         if self.curriculum is not None:
             self.env.set_start_sampler(self.curriculum.sample_poses)
-        self.ppo.step_schedules(self.frames, self.config.total_frames)
+        self.algorithm.step_schedules(self.frames, self.config.total_frames)
         self.started_from = str(folder)
         worlds = checkpoint.load_world_state(folder)
         if worlds is None:
@@ -310,8 +319,12 @@ class Trainer:
         batch_frames = self.env.num_worlds * self.config.collector.steps_per_env
         device = self.env.physics.device
         restored = rng_state(device)
+        env: EnvBase = self.env
+        if transforms := self.networks.transforms():
+            # They carry the actor's memory from step to step, and reset it with a world.
+            env = TransformedEnv(self.env, Compose(*transforms))
         collector = Collector(
-            self.env,
+            env,
             self.networks.actor,
             frames_per_batch=batch_frames,
             total_frames=-1,
@@ -332,7 +345,7 @@ class Trainer:
                 metrics = self._learn(batch)
                 self.frames += batch_frames
                 self.iteration += 1
-                self.ppo.step_schedules(self.frames, self.config.total_frames)
+                self.algorithm.step_schedules(self.frames, self.config.total_frames)
                 now = seconds(device)
                 self.elapsed = already + now - started
                 if lost := self.env.physics.overflowed():
@@ -360,7 +373,7 @@ class Trainer:
             self.networks.observe(batch)
             self._collect_normalizer_stats = False
             return {}
-        return self.ppo.update(batch)
+        return self.algorithm.update(batch)
 
     def evaluate(self, episodes: int, progress: Callable[[int, int], None] | None = None) -> Evaluation:
         """Evaluate the policy in the training's task, with deterministic actions and seeds that training never uses.

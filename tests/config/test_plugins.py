@@ -101,7 +101,7 @@ def test_a_plugins_terms_can_be_used_and_are_saved_by_name(plugin: Write) -> Non
 
 def test_without_plugins_there_are_none() -> None:
     assert compose("balance").plugins == []
-    old = to_dict(compose("balance"))
+    old = to_dict(compose("balance")) | {"format": 2}
     del old["plugins"]
     assert from_dict(old).plugins == []
 

@@ -76,7 +76,7 @@ def test_the_attribute_is_put_back_after_an_error() -> None:
 def test_every_part_of_a_training_is_timed_and_left_as_it_was(tmp_path: Path) -> None:
     trainer = Trainer(compose("balance", [*TINY, *SILENT, "init_from=null", f"logger.root={tmp_path}"]))
     iterations = trainer.iterations()
-    watched = [(trainer.env.physics, "step"), (trainer.env.mdp, "observation"), (trainer.ppo, "_step")]
+    watched = [(trainer.env.physics, "step"), (trainer.env.mdp, "observation"), (trainer.algorithm, "_step")]
     before = [getattr(owner, name) for owner, name in watched]
     with profile_trainer(trainer) as stopwatch:
         while "reset" not in stopwatch.spent or "update" not in stopwatch.spent:

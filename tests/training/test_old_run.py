@@ -50,7 +50,7 @@ def test_a_run_of_an_older_version_resumes(old_run: RunFolder) -> None:
     for key, value in trainer.networks.state_dict().items():
         assert torch.equal(value, policy[key]), key
     assert (trainer.frames, trainer.iteration) == (5 * BATCH, 5)
-    moments = trainer.ppo.state_dict()["optimizer"]
+    moments = trainer.algorithm.state_dict()["optimizer"]
     assert len(moments) == len(saved["ppo"]["optimizer"]) == len(list(trainer.networks.parameters()))
     for i, values in enumerate(moments.values()):
         assert all(torch.equal(value, saved["ppo"]["optimizer"][str(i)][name]) for name, value in values.items())

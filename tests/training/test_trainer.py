@@ -282,7 +282,9 @@ def test_starts_from_a_runs_policy(trained: RunFolder, tmp_path: Path) -> None:
     trainer.close()
     assert same(trainer.networks.state_dict(), weights(trained))
     assert trainer.frames == 0
-    assert trainer.ppo.learning_rate == trainer.config.algorithm.min_learning_rate  # a trained policy starts gently
+    assert (
+        trainer.algorithm.learning_rate == trainer.config.algorithm.min_learning_rate
+    )  # a trained policy starts gently
     assert str(trained.path) in trainer.describe()
 
 

@@ -5,10 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from skatemount.utils.classes import ClassRegistry
 from skatemount.utils.errors import ConfigError, check_range
 
 MODES = ("sampled", "board", "zero")
 
+COMMANDS = ClassRegistry(
+    "command", {}, methods=("update",), base="skatemount.envs.commands.CommandGenerator", reserved=MODES
+)
+"""Commands of plugins by ``command.mode``: classes with the constructor and the `update` of `CommandGenerator`."""
 
 ENDS = ("nearer", "front")
 
@@ -18,8 +23,8 @@ class CommandConfig:
     """Settings of the velocity commands.
 
     Attributes:
-        mode: ``sampled`` from the ranges, ``board`` (toward the board, see `skatemount.envs.commands.toward_board`) or
-            ``zero``.
+        mode: ``sampled`` from the ranges, ``board`` (toward the board, see `skatemount.envs.commands.toward_board`),
+            ``zero``, the name of a plugin's, or ``module:Class`` of your own.
         turn_to: End of the board to turn to when commanded toward it: the ``nearer`` end, or its ``front`` (paper).
         forward: Range of the forward velocity, m/s.
         left: Range of the velocity to the left, m/s.
@@ -40,8 +45,7 @@ class CommandConfig:
 
     def validate(self, where: str = "command") -> None:
         """Raise `ConfigError` for settings that cannot be used."""
-        if self.mode not in MODES:
-            raise ConfigError(f"{where}.mode={self.mode} must be one of {', '.join(MODES)}")
+        COMMANDS.check_name(self.mode, f"{where}.mode")
         if self.turn_to not in ENDS:
             raise ConfigError(f"{where}.turn_to={self.turn_to} must be one of {', '.join(ENDS)}")
         for name in ("forward", "left", "turn"):
