@@ -237,7 +237,8 @@ class PPO(Algorithm):
         if not bool(torch.isfinite(norm) & torch.isfinite(total)):
             raise FloatingPointError(f"loss {float(total.detach())} or gradient {float(norm)} is not finite")
         self.optimizer.step()
-        return {name: value.detach() for name, value in losses.items()}
+        # Some of TorchRL's losses report a value for each row.
+        return {name: value.detach().mean() for name, value in losses.items()}
 
     @torch.no_grad()
     def _divergence(self, part: TensorDictBase, loc: Tensor, scale: Tensor) -> float:
