@@ -1,4 +1,4 @@
-"""Reference pages of what can be chosen: robots, boards, commands, stages, suites, and policies."""
+"""Reference pages of what can be chosen: robots, boards, commands, stages, suites, policies, and classes."""
 
 from __future__ import annotations
 
@@ -97,6 +97,28 @@ def policies_page() -> str:
     return "\n".join([*lines, "", *notes])
 
 
+def classes_page() -> str:
+    """Return the page of the classes that settings name, with their parameters."""
+    from skatemount.config.registries import POLICY_CLASSES, TRAINING_CLASSES
+
+    lines = [
+        "# Classes",
+        "",
+        "The classes that settings name. [Use your own](../extend.md) says how to write another one.",
+        "",
+    ]
+    for setting, registry in (POLICY_CLASSES | TRAINING_CLASSES).items():
+        if not registry.names():
+            continue
+        lines += [f"## `{setting}`", "", *head("name", "class", "meaning")]
+        for name in registry.names():
+            cls = registry.find(name, setting)
+            where = f"{cls.__module__}.{cls.__name__}"
+            lines.append(row(f"`{name}`", f"`{where}`", plain(registry.description(name))))
+        lines.append("")
+    return "\n".join(lines)
+
+
 def sentence(text: str) -> str:
     """Return a description as a sentence."""
     return f"{plain(text[:1].upper() + text[1:])}."
@@ -141,6 +163,7 @@ def pages() -> dict[str, tuple[str, str]]:
         "stages": stages_page(),
         "suites": suites_page(),
         "policies": policies_page(),
+        "classes": classes_page(),
     }
     return {name: (text.splitlines()[0].lstrip("# "), text) for name, text in made.items()}
 

@@ -1,4 +1,4 @@
-"""`skatemount list <kind>`: the stages, suites, robots, boards, policies and terms that there are."""
+"""`skatemount list <kind>`: the stages, suites, robots, boards, policies, terms and classes that there are."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from skatemount import config as configuration
 from skatemount.cli import config_dir_of
 from skatemount.config.files import choices, find_file
 from skatemount.config.plugins import import_plugins
+from skatemount.config.registries import ALGORITHMS, CALLBACKS, COMMANDS, CURRICULA, LOGGERS, NETWORKS
 from skatemount.runs.shipped import PRETRAINED, shipped_file, shipped_policies
+from skatemount.utils.classes import ClassRegistry
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_count
 
@@ -61,6 +63,21 @@ def _terminations() -> dict[str, str]:
     return {name: TERMINATIONS.description(name) for name in TERMINATIONS.names()}
 
 
+def _classes(registry: ClassRegistry, prefix: str = "") -> dict[str, str]:
+    """Return the registered classes with the first line of each one's docstring.
+
+    Args:
+        registry: The classes.
+        prefix: Text before each name, to tell classes from the files of a group.
+    """
+    return {f"{prefix}{name}": registry.description(name) for name in registry.names()}
+
+
+def _group_and_classes(group: str, registry: ClassRegistry, setting: str = "kind") -> dict[str, str]:
+    """Return a group's files and its classes."""
+    return _of_group(group) | _classes(registry, f"{setting}=")
+
+
 KINDS: dict[str, tuple[str, Callable[[], dict[str, str]]]] = {
     "stages": ("what to train: stage=<name>", configuration.stages),
     "suites": ("tests of MountBench: suite=<name>", configuration.suites),
@@ -70,7 +87,24 @@ KINDS: dict[str, tuple[str, Callable[[], dict[str, str]]]] = {
     "rewards": ("terms: reward.<name>.weight=<size>", _rewards),
     "observations": ("terms: observation.policy.<name>={}", _observations),
     "terminations": ("terms: termination.<name>={}", _terminations),
-    "curricula": ("order of the start states: curriculum=<name>", lambda: _of_group("curriculum")),
+    "commands": (
+        "velocity commands: command=<name>; classes: command.mode=<name>",
+        lambda: _group_and_classes("command", COMMANDS, "mode"),
+    ),
+    "curricula": (
+        "order of the start states: curriculum=<name>; classes: curriculum.kind=<name>",
+        lambda: _group_and_classes("curriculum", CURRICULA),
+    ),
+    "networks": (
+        "network=<name>; classes: network.kind=<name>",
+        lambda: _group_and_classes("network", NETWORKS),
+    ),
+    "algorithms": (
+        "algorithm=<name>; classes: algorithm.kind=<name>",
+        lambda: _group_and_classes("algorithm", ALGORITHMS),
+    ),
+    "callbacks": ("in every training, or callbacks=[<name>]", lambda: _classes(CALLBACKS)),
+    "loggers": ("logger.<name>=true, or logger.loggers=[<name>]", lambda: _classes(LOGGERS)),
     "experiments": ("settings that belong together: experiment=<name>", lambda: _of_group("experiment")),
 }
 """The kinds that can be listed: a line about each, and a function that returns its names with their descriptions."""

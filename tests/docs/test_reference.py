@@ -48,6 +48,15 @@ def test_every_preset_is_there(pages: dict[str, str], page: str, group: str) -> 
     assert {"stages": set(stages()), "suites": set(suites())}.get(page, names) == names
 
 
+def test_every_class_is_there(pages: dict[str, str]) -> None:
+    from skatemount.config.registries import POLICY_CLASSES, TRAINING_CLASSES
+
+    for setting, registry in (POLICY_CLASSES | TRAINING_CLASSES).items():
+        section = pages["classes"].partition(f"## `{setting}`")[2].partition("\n## ")[0]
+        assert re.findall(r"^\| `([\w]+)` \|", section, re.MULTILINE) == registry.names()
+    assert "| `mlp` | `skatemount.models.actor_critic.ActorCritic` | Multilayer" in pages["classes"]
+
+
 def test_every_policy_is_there(pages: dict[str, str]) -> None:
     names = {path.stem for path in (ROOT / "skatemount" / "policies").glob("*.json")}
     assert set(re.findall(r"^## `pretrained:([\w-]+)`$", pages["policies"], re.MULTILINE)) == names
