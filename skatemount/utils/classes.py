@@ -244,7 +244,9 @@ def _fits(value: Any, kind: Any) -> bool:
         return False
     if kind is float:
         return isinstance(value, int | float) and math.isfinite(value)
-    return not isinstance(kind, type) or kind is inspect.Parameter.empty or isinstance(value, kind)
+    if kind in (Any, inspect.Parameter.empty) or not isinstance(kind, type):
+        return True
+    return isinstance(value, kind)
 
 
 def _in_words(kind: Any) -> str:

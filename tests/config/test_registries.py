@@ -198,15 +198,16 @@ def test_a_registered_class_is_checked_and_a_reserved_name_is_refused(module: Wr
 
 
 def test_a_plugin_registers_short_names(module: Write) -> None:
-    heads = {
-        "NETWORKS.register('scaled')": ("from skatemount.models.config import NETWORKS\n", NETWORK, "class Scaled"),
-        "CALLBACKS.register('count')": ("from skatemount.training.callbacks import CALLBACKS\n", CALLBACK, "class Count"),
-        "LOGGERS.register('lines')": ("from skatemount.runs.loggers import LOGGERS\n", LOGGER, "class Lines"),
-        "COMMANDS.register('steady')": (
-            "from skatemount.envs.config.commands import COMMANDS\n", COMMAND, "class Forward"
-        ),
-    }  # fmt: skip
-    code = "".join(head + body.replace(cls, f"@{line}\n{cls}") for line, (head, body, cls) in heads.items())
+    parts = [
+        ("skatemount.models.config", "NETWORKS", "scaled", NETWORK, "class Scaled"),
+        ("skatemount.training.callbacks", "CALLBACKS", "count", CALLBACK, "class Count"),
+        ("skatemount.runs.loggers", "LOGGERS", "lines", LOGGER, "class Lines"),
+        ("skatemount.envs.config.commands", "COMMANDS", "steady", COMMAND, "class Forward"),
+    ]
+    code = "".join(
+        f"from {home} import {registry}\n" + body.replace(cls, f"@{registry}.register('{name}')\n{cls}")
+        for home, registry, name, body, cls in parts
+    )
     overrides = ["network.kind=scaled", "callbacks=[count]", "logger.loggers=[lines]", "command.mode=steady"]
     assert "network.kind=scaled must be one of mlp," in refused("network.kind=scaled")
     config = compose("balance", [f"plugins=[{module(code)}]", *overrides, "network.params.gain=3"])
