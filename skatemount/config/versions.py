@@ -62,6 +62,9 @@ ADDED_LATER: dict[str, Any] = {
     "network.kind": "mlp",
     "network.params": {},
     "plugins": [],
+    "start.board_lean": [0.0, 0.0],
+    "start.move_with_board": False,
+    "start.truck_angle": None,
 }
 """The same for files of formats 1 and 2."""
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import torch
 from torch import Tensor
 
 from skatemount.envs import success
+from skatemount.envs.config.board import SkateboardConfig
 from skatemount.envs.geometry import quat_from_matrix, rotate
 from skatemount.envs.mdp import StepResult
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.physics.base import StartState
 from skatemount.envs.sampling import uniform
+from skatemount.envs.starts import start_from_state
 from skatemount.envs.state import EpisodeState, SimState
 
 SIZE = 4096
@@ -37,34 +40,32 @@ def half_mounted(sim: SimState, episode: EpisodeState) -> Tensor:
     return (feet > 0) & (feet < episode.on_deck.shape[1]) & upright & (success.deck_level(sim) > math.cos(MAX_TILT))
 
 
-def to_start_states(sim: SimState, deck_height: float) -> StartState:
+def to_start_states(sim: SimState, board: SkateboardConfig) -> StartState:
     """Turn states into initial states, with robot and board moved together to the board's usual initial pose.
 
     Args:
         sim: ``[N]`` states.
-        deck_height: Height of the board's deck at rest, m.
+        board: Settings of the board.
 
     Returns:
         ``[N]`` initial states without an external wrench and with bin -1.
     """
-    n = len(sim.base_pos)
     to_board = sim.board_rot.transpose(-1, -2)
     turned = to_board @ sim.base_rot
     position = rotate(to_board, sim.base_pos - sim.board_pos)
-    position[:, 2] += deck_height
-    return StartState(
+    position[:, 2] += board.deck_height
+    return dataclasses.replace(
+        start_from_state(sim, board),
         base_pos=position,
         base_quat=quat_from_matrix(turned),
         base_lin_vel=rotate(turned, sim.base_lin_vel),
-        base_ang_vel=sim.base_ang_vel.clone(),
-        joint_pos=sim.joint_pos.clone(),
-        joint_vel=sim.joint_vel.clone(),
-        ground_height=sim.ground_height.clone(),
-        board_fixed=sim.board_fixed.clone(),
         board_speed=rotate(to_board, sim.board_lin_vel)[:, 0] * ~sim.board_fixed,
-        force=torch.zeros_like(position),
-        torque=torch.zeros_like(position),
-        bin=torch.full((n,), -1, device=position.device),
+        board_xy=None,
+        board_lift=None,
+        board_yaw=None,
+        board_yaw_rate=None,
+        board_lean=None,
+        truck_angle=None,
     )
 
 
@@ -98,7 +99,7 @@ class StuckStateBuffer:
             return
         rows = rows[torch.randperm(len(rows), generator=env.generator, device=rows.device)[:PER_STEP]]
         # Mypy does not know the indexing of a tensorclass.
-        new = to_start_states(env.sim[rows], env.task.scene.deck_height)  # type: ignore[index]
+        new = to_start_states(env.sim[rows], env.task.scene.board.config)  # type: ignore[index]
         self._kept = new if self._kept is None else StartState.cat([self._kept, new])[-SIZE:]
 
     def replace_fraction(self, starts: StartState, generator: torch.Generator) -> StartState:

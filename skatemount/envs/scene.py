@@ -179,6 +179,8 @@ class SceneIndex:
         weld: Equality id of the weld that fixes the board.
         floor_mocap: Mocap id of the robot's floor.
         rolling: ``[nv]`` velocities of the scene while the board, in its start pose, rolls forward at 1 m/s.
+        board_qpos: Addresses in ``qpos`` of the deck's free joint and the two trucks.
+        board_dof: Addresses in ``qvel`` of the deck's free joint, the two trucks and the four wheels.
     """
 
     sensors: dict[str, tuple[slice, tuple[int, ...]]]
@@ -196,6 +198,8 @@ class SceneIndex:
     weld: int
     floor_mocap: int
     rolling: np.ndarray
+    board_qpos: np.ndarray
+    board_dof: np.ndarray
 
     @classmethod
     def of(cls, scene: Scene, model: mujoco.MjModel) -> SceneIndex:
@@ -233,10 +237,15 @@ class SceneIndex:
         robot_joint = model.joint(scene.robot_frame.freejoint.full_identifier)
         board_joint = model.joint(scene.board_frame.freejoint.full_identifier)
         rq, rd = int(robot_joint.qposadr[0]), int(robot_joint.dofadr[0])
+        trucks, wheels = (
+            [model.joint(joint.full_identifier) for joint in joints]
+            for joints in (scene.board.truck_joints, scene.board.wheel_joints)
+        )
+        bq, bd = int(board_joint.qposadr[0]), int(board_joint.dofadr[0])
         rolling = np.zeros(model.nv)
-        rolling[int(board_joint.dofadr[0])] = 1.0
-        for wheel in scene.board.wheel_joints:
-            rolling[model.joint(wheel.full_identifier).dofadr[0]] = 1 / scene.board.config.wheel_radius
+        rolling[bd] = 1.0
+        for wheel in wheels:
+            rolling[wheel.dofadr[0]] = 1 / scene.board.config.wheel_radius
         floor = model.body(scene.arena.robot_floor.full_identifier)
         touched = [*scene.robot.foot_geoms, scene.board.deck_geom, scene.arena.robot_ground]
         touched += [geom for geoms in scene.robot.body_geoms.values() for geom in geoms]
@@ -253,9 +262,11 @@ class SceneIndex:
             trunk_body=int(model.body(scene.robot.trunk.full_identifier).id),
             robot_bodies=robot_bodies[robot_bodies != robot_body],
             board_body=int(model.jnt_bodyid[board_joint.id]),
-            truck_joints=np.array([model.joint(j.full_identifier).id for j in scene.board.truck_joints]),
+            truck_joints=np.array([truck.id for truck in trucks]),
             touched_geoms=np.array([model.geom(g.full_identifier).id for g in touched]),
             weld=int(model.equality(scene.weld.full_identifier).id),
             floor_mocap=int(floor.mocapid[0]),
             rolling=rolling,
+            board_qpos=np.array([*range(bq, bq + 7), *(t.qposadr[0] for t in trucks)]),
+            board_dof=np.array([*range(bd, bd + 6), *(j.dofadr[0] for j in (*trucks, *wheels))]),
         )

@@ -11,13 +11,23 @@ from torch import Tensor
 
 from skatemount.envs.config.board import SkateboardConfig
 from skatemount.envs.config.starts import StartConfig
-from skatemount.envs.geometry import quat_from_euler, quat_to_matrix, rotate
+from skatemount.envs.geometry import (
+    quat_from_euler,
+    quat_from_matrix,
+    quat_multiply,
+    quat_to_matrix,
+    rotate,
+    rotate_inverse,
+)
 from skatemount.envs.legs import Legs
 from skatemount.envs.physics.base import StartState, where_rows
+from skatemount.envs.physics.board_start import deck_drop, lean_of_truck, trucks_of_lean, yaw_rate_of_lean
 from skatemount.envs.sampling import either_sign, uniform
+from skatemount.envs.state import SimState
 from skatemount.envs.terms import TaskContext
 from skatemount.utils.errors import ConfigError
 
+_LEVEL = [0.0, 0.0]
 _ROUNDS = 40
 """Number of batches of candidates to draw before giving up."""
 
@@ -84,7 +94,15 @@ class StartSampler:
                 f"start.step_height={config.step_height} must be within 0 and the deck's height of "
                 f"{context.deck_height} m; the robot's floor can only be raised, and only up to the deck"
             )
+        for name, most in (("board_lean", board.max_lean), ("truck_angle", math.radians(board.truck_limit))):
+            bounds = getattr(config, name)
+            if bounds is not None and max(-bounds[0], bounds[1]) > most:
+                raise ConfigError(
+                    f"start.{name}={bounds} must be from -{most:.3f} to {most:.3f} rad, where the board's trucks reach "
+                    "their stops"
+                )
         self.config = config
+        self._board_config = board
         self._legs = legs
         self._along = torch.linspace(0.0, 1.0, 6)
         self._sample_poses = sample_poses
@@ -194,7 +212,43 @@ class StartSampler:
             force=draw(c.force, 3),
             torque=draw(c.torque, 3),
         )
+        if c.board_lean != _LEVEL or c.truck_angle is not None or c.move_with_board:
+            on_board = (world[:, :, -1, :2].abs() < self._deck).all(-1).all(-1)
+            start = self._ride(start, on_board & ~poses.board_fixed, generator)
         return start, valid
+
+    def _ride(self, start: StartState, riding: Tensor, generator: torch.Generator) -> StartState:
+        """Let the board lean and turn under robots that ride it, and move these with it.
+
+        Args:
+            start: ``[n]`` start states with a level board at the origin.
+            riding: ``[n]`` bool, true for a free board that the robot stands on with every foot.
+            generator: Source of randomness.
+        """
+        c, board, n = self.config, self._board_config, len(riding)
+        if c.truck_angle is None:
+            lean = uniform((n,), generator, c.board_lean) if c.board_lean != _LEVEL else start.board_speed.new_zeros(n)
+        else:
+            lean = lean_of_truck(uniform((n,), generator, c.truck_angle), board)
+        lean = torch.where(riding, lean, 0.0)
+        turning = yaw_rate_of_lean(start.board_speed, lean, board)
+        # The robot turns about the deck's center, which stays above the origin, and sinks with it.
+        zero = torch.zeros_like(lean)
+        roll = quat_from_euler(lean, zero, zero)
+        center = start.base_pos.new_tensor([0.0, 0.0, board.deck_height])
+        position = center + rotate(quat_to_matrix(roll), start.base_pos - center)
+        position[:, 2] -= deck_drop(lean, board)
+        start.base_pos = where_rows(riding, position, start.base_pos)
+        start.base_quat = where_rows(riding, quat_multiply(roll, start.base_quat), start.base_quat)
+        start.board_lean, start.board_yaw_rate = lean, turning
+        start.truck_angle = trucks_of_lean(lean, board)
+        if c.move_with_board:
+            x, y, _ = start.base_pos.unbind(1)
+            velocity = torch.stack((start.board_speed - turning * y, turning * x, zero), 1)
+            spin = rotate_inverse(quat_to_matrix(start.base_quat), torch.stack((zero, zero, turning), 1))
+            start.base_lin_vel = start.base_lin_vel + where_rows(riding, velocity, torch.zeros_like(velocity))
+            start.base_ang_vel = start.base_ang_vel + where_rows(riding, spin, torch.zeros_like(spin))
+        return start
 
     def _board_speed(self, fixed: Tensor, generator: torch.Generator) -> Tensor:
         n, bounds = len(fixed), self.config.board_speed
@@ -228,6 +282,45 @@ def _select_rows(mask: Tensor, first: StartPoses, second: StartPoses) -> StartPo
         step_height=where_rows(mask, first.step_height, second.step_height),
         board_fixed=where_rows(mask, first.board_fixed, second.board_fixed),
         bin=where_rows(mask, first.bin, second.bin),
+    )
+
+
+def start_from_state(sim: SimState, board: SkateboardConfig) -> StartState:
+    """Make start states that continue the present states of worlds.
+
+    The board keeps its place, heading, lean, truck angles, speed and turning rate. Its pitch, its vertical motion and
+    the rate of its lean are dropped, and its wheels roll without slip.
+
+    Args:
+        sim: ``[N]`` states, such as some rows of an environment's.
+        board: Settings of the board.
+
+    Returns:
+        ``[N]`` start states without an external wrench and with bin -1.
+    """
+    rotation, free = sim.board_rot, ~sim.board_fixed
+    yaw = torch.atan2(rotation[:, 1, 0], rotation[:, 0, 0])
+    lean = torch.atan2(rotation[:, 2, 1], rotation[:, 2, 2])
+    velocity = sim.board_lin_vel
+    return StartState(
+        base_pos=sim.base_pos.clone(),
+        base_quat=quat_from_matrix(sim.base_rot),
+        base_lin_vel=rotate(sim.base_rot, sim.base_lin_vel),
+        base_ang_vel=sim.base_ang_vel.clone(),
+        joint_pos=sim.joint_pos.clone(),
+        joint_vel=sim.joint_vel.clone(),
+        ground_height=sim.ground_height.clone(),
+        board_fixed=sim.board_fixed.clone(),
+        board_speed=(velocity[:, 0] * yaw.cos() + velocity[:, 1] * yaw.sin()) * free,
+        force=torch.zeros_like(sim.base_pos),
+        torque=torch.zeros_like(sim.base_pos),
+        bin=torch.full((len(yaw),), -1, device=yaw.device),
+        board_xy=sim.board_pos[:, :2].clone(),
+        board_lift=sim.board_pos[:, 2] - board.deck_height + deck_drop(lean, board),
+        board_yaw=yaw,
+        board_yaw_rate=sim.board_ang_vel[:, 2] * free,
+        board_lean=lean,
+        truck_angle=sim.truck_angle.clone(),
     )
 
 

@@ -18,6 +18,7 @@ from skatemount.envs.config.task import TaskConfig
 from skatemount.envs.legs import Legs
 from skatemount.envs.mdp import Mdp, StepResult
 from skatemount.envs.physics.base import StartState
+from skatemount.envs.physics.board_start import BoardStart
 from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.starts import StartPoseSampler, StartSampler
@@ -158,6 +159,10 @@ class MountTask(composer.Task):
         data.qvel[:] = float(start.board_speed[0]) * index.rolling
         data.qvel[index.base_dof] = torch.cat((start.base_lin_vel[0], start.base_ang_vel[0]))
         data.qvel[index.joint_dof] = start.joint_vel[0]
+        if not start.usual_board:
+            board = BoardStart(self.scene.board.config)
+            data.qpos[index.board_qpos] = board.positions(start)[0]
+            data.qvel[index.board_dof] = board.velocities(start)[0]
         data.ctrl[index.actuators] = start.joint_pos[0]
         data.xfrc_applied[index.trunk_body] = torch.cat((start.force[0], start.torque[0]))
         data.eq_active[index.weld] = bool(start.board_fixed[0])

@@ -42,7 +42,7 @@ def test_a_state_becomes_the_same_state(env: MountEnv) -> None:
     before = env.sim.clone()
     rows = half_mounted(before, env.episode)
     assert 3 < int(rows.sum()) < 64
-    env.physics.reset(torch.ones(64, dtype=torch.bool), to_start_states(before, env.task.scene.deck_height))
+    env.physics.reset(torch.ones(64, dtype=torch.bool), to_start_states(before, env.task.scene.board.config))
     after = env.physics.state()
     fixed = before.board_fixed
     assert 0 < int((fixed & rows).sum()) < int(rows.sum())

@@ -154,6 +154,57 @@ def test_a_free_board_rolls_either_way_and_a_fixed_one_does_not() -> None:
     assert (still.board_speed == 0).all()
 
 
+RIDING = ["start.board_fixed=0.3", "start.board_speed=[0.3,0.8]", "start.move_with_board=true"]
+NARROW = ["start.roll=[0,0]", "start.pitch=[0,0]", "start.y=[-0.01,0.01]", "start.yaw=[-0.05,0.05]"]
+AT_REST = [f"start.{name}=[0.0,0.0]" for name in ("lin_vel", "ang_vel", "joint_vel", "height", "joint_pos")]
+
+
+@pytest.mark.parametrize("lean", ["start.board_lean=[-0.08,0.08]", "start.truck_angle=[-0.1,0.1]"])
+def test_a_robot_that_stands_on_a_moving_board_moves_with_it(lean: str) -> None:
+    task, start = draw("balance", [*RIDING, *AT_REST, *NARROW, lean], count=200)
+    sim = Reset(task, start).sim
+    fixed = start.board_fixed
+    assert (start.board_lean[fixed] == 0).all() and (start.board_yaw_rate[fixed] == 0).all()
+    low, high = float(start.board_lean.min()), float(start.board_lean.max())
+    most = 0.08 if "lean" in lean else math.atan(math.tan(0.1) * math.sin(math.pi / 4))
+    assert -most <= low < -0.8 * most and 0.8 * most < high <= most
+    # All feet stand on the leaning deck, and none moves on it.
+    height = sim.foot_pos_board[..., 2] - task.scene.robot.kinematics.foot_radius
+    assert float(height.abs().max()) < 1e-5
+    assert float(sim.foot_vel_board.abs().max()) < 1e-5
+    ahead = (sim.board_lin_vel * sim.board_rot[..., 0]).sum(-1)
+    torch.testing.assert_close(ahead, start.board_speed, atol=1e-5, rtol=0)
+    assert float(sim.board_ang_vel[~fixed, 2].abs().max()) > 0.1
+
+
+def test_a_robot_moves_with_its_board_only_where_asked_and_only_on_it() -> None:
+    still = (
+        *AT_REST,
+        "start.board_speed=[0.5,0.5]",
+        "start.board_fixed=0",
+        "start.yaw=[-0.2,0.2]",
+        "start.edge_margin=0",
+    )
+    _, start = draw("mount", (*still, "start.move_with_board=true"), count=400)
+    task, same = draw("mount", still, count=400)
+    assert torch.equal(start.base_pos, same.base_pos) and (same.base_lin_vel == 0).all() and same.usual_board
+    feet = Reset(task, same).sim.foot_pos_board[..., :2].abs()
+    riding = (feet < torch.tensor(task.make_mdp(torch.Generator()).context.deck_half)).all(-1).all(-1)
+    assert 10 < int(riding.sum()) < 390
+    torch.testing.assert_close(start.base_lin_vel[:, 0], start.board_speed * riding, atol=1e-6, rtol=0)
+
+
+def test_a_lean_beyond_the_trucks_stops_is_named() -> None:
+    for setting, most in (("board_lean", "0.087"), ("truck_angle", "0.122")):
+        expected = rf"^start\.{setting}=\[0\.0, 0\.2\] must be from -{most} to {most} rad, .* stops$"
+        with pytest.raises(ConfigError, match=expected):
+            draw("balance", (f"start.{setting}=[0.0,0.2]",), count=1)
+    with pytest.raises(
+        ConfigError, match=r"^start\.truck_angle=.* must be null with start\.board_lean=\[0\.0, 0\.05\]"
+    ):
+        draw("balance", ("start.truck_angle=[0.0,0.1]", "start.board_lean=[0.0,0.05]"), count=1)
+
+
 def test_a_lower_step_raises_the_robots_floor() -> None:
     _, start = draw("mount", ("start.step_height=[0.02,0.05]",))
     step = 0.088 - start.ground_height
@@ -178,7 +229,7 @@ def test_forces_and_torques_are_drawn() -> None:
 
 def test_the_same_generator_gives_the_same_starts() -> None:
     (_, a), (_, b), (_, c) = (draw("unfixed", count=50, seed=seed) for seed in (3, 3, 4))
-    assert all(torch.equal(getattr(a, name), getattr(b, name)) for name in vars(a))
+    assert all(torch.equal(value, getattr(b, name)) for name, value in vars(a).items() if value is not None)
     assert not torch.equal(a.base_pos, c.base_pos)
 
 

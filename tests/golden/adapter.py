@@ -71,7 +71,7 @@ def draw_step(line: str, worlds: int) -> dict[str, np.ndarray]:
     task = MountTask(config=_compose(line))
     generator = torch.Generator().manual_seed(5)
     start = task.make_sampler().draw(worlds, generator)
-    drawn = {f"start.{name}": value.numpy() for name, value in vars(start).items()}
+    drawn = {f"start.{name}": value.numpy() for name, value in vars(start).items() if value is not None}
     drawn["action"] = torch.randn(worlds, 12, generator=generator).numpy()
     return drawn
 

@@ -33,6 +33,15 @@ class StartConfig:
         board_fixed: Fraction of the starts with the deck welded to the world.
         board_speed: Speed at which a free board rolls along its x axis, in a random direction, m/s. A fixed board is at
             rest.
+        board_lean: Roll of the deck of a free board about its long axis, rad; positive to the right. It is for robots
+            with every foot over the deck, which lean with it; other boards are level. A board that leans and rolls
+            turns as its trucks steer.
+        truck_angle: Angle of the rear truck about its axis from which the lean follows, in place of ``board_lean``,
+            rad; null to use ``board_lean``. The front truck has the opposite angle, so that all wheels stand on the
+            floor.
+        move_with_board: True if a robot with every foot over the deck begins with the velocity of the board where it
+            stands, as if it had been riding; ``lin_vel`` and ``ang_vel`` are added. False if the board rolls under a
+            robot at rest.
         edge_margin: Smallest distance of a foot from the deck's edge, m.
         force: Each axis of a constant force on the trunk for the whole episode, N.
         torque: Each axis of a constant torque on the trunk for the whole episode, N m.
@@ -53,6 +62,9 @@ class StartConfig:
     step_height: list[float] | None
     board_fixed: float
     board_speed: list[float]
+    board_lean: list[float]
+    truck_angle: list[float] | None
+    move_with_board: bool
     edge_margin: float
     force: list[float]
     torque: list[float]
@@ -76,6 +88,11 @@ class StartConfig:
         if self.board_speed[0] < 0:
             raise ConfigError(
                 f"{where}.board_speed={self.board_speed} must be >= 0 m/s; the direction is sampled separately"
+            )
+        if self.truck_angle is not None and self.board_lean != [0.0, 0.0]:
+            raise ConfigError(
+                f"{where}.truck_angle={self.truck_angle} must be null with {where}.board_lean={self.board_lean}; each "
+                "follows from the other"
             )
         if self.height[0] < 0:
             raise ConfigError(f"{where}.height={self.height} must be >= 0 m; the robot would start inside the ground")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -125,7 +126,10 @@ class Physics(Protocol):
 
 @dataclass
 class StartState:
-    """Start states of N worlds. The board starts level at the origin.
+    """Start states of N worlds: pose and velocity of robot and board.
+
+    The board's long axis is level. Those fields of it that are None stand for zeros: a level board at the origin, along
+    the x axis, that rolls straight on with all wheels on its floor.
 
     Attributes:
         base_pos: ``[N, 3]`` trunk center, world, m.
@@ -136,10 +140,20 @@ class StartState:
         joint_vel: ``[N, J]`` rad/s.
         ground_height: ``[N]`` height of the robot's floor, m.
         board_fixed: ``[N]`` bool, the deck is welded to the world.
-        board_speed: ``[N]`` speed of the rolling board along its x axis, m/s; 0 where it is fixed.
+        board_speed: ``[N]`` speed of the deck's center along the board's heading, m/s; 0 where it is fixed. The wheels
+            roll without slip.
         force: ``[N, 3]`` constant force on the trunk for the episode, world, N.
         torque: ``[N, 3]`` constant torque on the trunk, world, N m.
         bin: ``[N]`` int64, the curriculum bin of the start state, -1 for none. Engines ignore it.
+        board_xy: ``[N, 2]`` deck center, world, m.
+        board_lift: ``[N]`` height of the deck's center above the one at which all wheels of a board with this lean
+            stand on the floor, m.
+        board_yaw: ``[N]`` heading of the board in the world, rad.
+        board_yaw_rate: ``[N]`` turning rate of the board about the vertical, rad/s; `yaw_rate_of_lean` gives the one at
+            which no wheel slips sideways.
+        board_lean: ``[N]`` roll of the deck about its long axis, rad; positive to the right.
+        truck_angle: ``[N, 2]`` front and rear truck about their axes, rad; `trucks_of_lean` gives those at which all
+            wheels stand on the floor.
     """
 
     base_pos: Tensor
@@ -154,10 +168,25 @@ class StartState:
     force: Tensor
     torque: Tensor
     bin: Tensor
+    board_xy: Tensor | None = None
+    board_lift: Tensor | None = None
+    board_yaw: Tensor | None = None
+    board_yaw_rate: Tensor | None = None
+    board_lean: Tensor | None = None
+    truck_angle: Tensor | None = None
+
+    @property
+    def usual_board(self) -> bool:
+        """True if every board starts level at the origin, along the x axis, and rolls straight on."""
+        return all(getattr(self, name) is None for name in _BOARD)
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> StartState:
+        """Apply a function to every tensor; fields that are None stay None."""
+        return StartState(**{n: value if value is None else function(value) for n, value in vars(self).items()})
 
     def __getitem__(self, rows: Tensor | slice) -> StartState:
         """Return the start states of some rows."""
-        return StartState(**{name: value[rows] for name, value in vars(self).items()})
+        return self.map(lambda value: value[rows])
 
     def __len__(self) -> int:
         return self.base_pos.shape[0]
@@ -179,7 +208,7 @@ class StartState:
     @staticmethod
     def cat(parts: list[StartState]) -> StartState:
         """Concatenate batches of start states."""
-        return StartState(**{name: torch.cat([getattr(p, name) for p in parts]) for name in vars(parts[0])})
+        return StartState(**{name: _merge(parts, name, torch.cat) for name in vars(parts[0])})
 
     @staticmethod
     def where(mask: Tensor, first: StartState, second: StartState) -> StartState:
@@ -190,9 +219,31 @@ class StartState:
             first: ``[N]`` start states, taken where the mask is true.
             second: ``[N]`` start states, taken where it is false.
         """
-        return StartState(
-            **{name: where_rows(mask, value, getattr(second, name)) for name, value in vars(first).items()}
-        )
+
+        def select(pair: list[Tensor]) -> Tensor:
+            return where_rows(mask, *pair)
+
+        return StartState(**{name: _merge([first, second], name, select) for name in vars(first)})
+
+
+_BOARD = {
+    "board_xy": (2,),
+    "board_lift": (),
+    "board_yaw": (),
+    "board_yaw_rate": (),
+    "board_lean": (),
+    "truck_angle": (2,),
+}
+"""Shapes per world of the fields that may be None."""
+
+
+def _merge(parts: list[StartState], name: str, merge: Callable[[list[Tensor]], Tensor]) -> Tensor | None:
+    """Merge a field of several batches; None if all have None, which stands for zeros."""
+    values = [getattr(part, name) for part in parts]
+    if all(value is None for value in values):
+        return None
+    filled = [p.board_speed.new_zeros(len(p), *_BOARD[name]) if v is None else v for p, v in zip(parts, values)]
+    return merge(filled)
 
 
 def where_rows(mask: Tensor, first: Tensor, second: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from mujoco.batch import Batch
 from torch import Tensor
 
 from skatemount.envs.physics.base import StartState, posed_data
+from skatemount.envs.physics.board_start import BoardStart
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState, StateReader
 
@@ -69,6 +70,7 @@ class CpuPhysics:
         if (np.diff(dof) == 1).all():
             self._joint_dof = slice(int(dof[0]), int(dof[-1]) + 1)
         self._reader = StateReader(self.index)
+        self._board_start = BoardStart(scene.board.config)
         self._lost_contacts = False
         self._fields: dict[str, np.ndarray] = {}
         self._default = self._batch.state[0].copy()
@@ -96,6 +98,9 @@ class CpuPhysics:
         qvel = start.board_speed.double().unsqueeze(1).numpy() * index.rolling
         qvel[:, index.base_dof] = torch.cat((start.base_lin_vel, start.base_ang_vel), -1).numpy()
         qvel[:, index.joint_dof] = start.joint_vel.numpy()
+        if not start.usual_board:
+            self._qpos[np.ix_(ids, index.board_qpos)] = self._board_start.positions(start).numpy()
+            qvel[:, index.board_dof] = self._board_start.velocities(start).numpy()
         self._qvel[ids] = qvel
         self._ctrl[np.ix_(ids, index.actuators)] = start.joint_pos.numpy()
         self._wrench[ids, index.trunk_body] = torch.cat((start.force, start.torque), -1).numpy()

@@ -16,6 +16,7 @@ import warp as wp
 from torch import Tensor
 
 from skatemount.envs.physics.base import StartState, posed_data, where_rows
+from skatemount.envs.physics.board_start import BoardStart
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState, StateReader
 from skatemount.utils.devices import choose_device
@@ -187,6 +188,8 @@ class WarpPhysics:
             self._joint_qpos, self._joint_dof, self._actuators = (
                 torch.as_tensor(ids) for ids in (self.index.joint_qpos, self.index.joint_dof, self.index.actuators)
             )
+            self._board_qpos, self._board_dof = map(torch.as_tensor, (self.index.board_qpos, self.index.board_dof))
+        self._board_start = BoardStart(scene.board.config, self.device)
         self._reader = StateReader(self.index)
 
     def step(self, targets: Tensor, substeps: int) -> None:
@@ -216,6 +219,9 @@ class WarpPhysics:
         qvel = start.board_speed.unsqueeze(1) * self._rolling
         qvel[:, index.base_dof] = torch.cat((start.base_lin_vel, start.base_ang_vel), -1)
         qvel[:, self._joint_dof] = start.joint_vel
+        if not start.usual_board:
+            qpos[:, self._board_qpos] = self._board_start.positions(start).float()
+            qvel[:, self._board_dof] = self._board_start.velocities(start).float()
         fresh = {name: value.new_zeros(len(rows), *value.shape[1:]) for name, value in self._state.items()}
         fresh |= {"qpos": qpos, "qvel": qvel}
         fresh["ctrl"][:, self._actuators] = start.joint_pos

@@ -70,7 +70,7 @@ def starts(task: MountTask, n: int = WORLDS, seed: int = 0) -> StartState:
 
 
 def to(start: StartState, device: str) -> StartState:
-    return StartState(**{name: value.to(device) for name, value in vars(start).items()})
+    return start.map(lambda value: value.to(device))
 
 
 def everywhere(n: int = WORLDS) -> Tensor:
