@@ -63,6 +63,7 @@ ADDED_LATER: dict[str, Any] = {
     "network.params": {},
     "plugins": [],
     "start.board_lean": [0.0, 0.0],
+    "start.drive": False,
     "start.move_with_board": False,
     "start.truck_angle": None,
 }

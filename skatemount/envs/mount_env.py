@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from skatemount.envs.drive import Drive
 from skatemount.envs.episode_statistics import EpisodeStatistics
 from skatemount.envs.mdp import StepResult
 from skatemount.envs.physics.base import Physics, StartState
@@ -85,6 +86,7 @@ class MountEnv(EnvBase):
         self.mdp = task.make_mdp(self.generator)
         if max_mounted_time is not None:
             self.mdp.max_mounted_time = max_mounted_time
+        self._drive = Drive(task.config.start.drive, physics.model, physics.index)
         self.statistics = EpisodeStatistics(self.mdp, n)
         self.listeners: list[Listener] = [self.statistics.add]
         self._sample_poses: StartPoseSampler | None = None
@@ -287,6 +289,8 @@ class MountEnv(EnvBase):
         """
         if self._pushes.active:
             self.physics.push(*self._pushes.due())
+        if self._drive.active:
+            self.physics.pull_board(self._drive.force(self.sim))
         self.physics.step(self.mdp.targets(action), self._substeps)
         sim = self._sim = self.physics.state()
         diverged = self.physics.diverged()

@@ -15,6 +15,7 @@ from dm_control.composer.observation import observable
 from torch import Tensor
 
 from skatemount.envs.config.task import TaskConfig
+from skatemount.envs.drive import Drive
 from skatemount.envs.legs import Legs
 from skatemount.envs.mdp import Mdp, StepResult
 from skatemount.envs.physics.base import StartState
@@ -132,6 +133,7 @@ class MountTask(composer.Task):
         """Look up the ids of the compiled scene, and copy its nominal values."""
         self._index = SceneIndex.of(self.scene, physics.model.ptr)
         self._nominal = copy.copy(physics.model.ptr)
+        self._drive = Drive(self.config.start.drive, self._nominal, self._index)
         self._sim = None
 
     @plain_defaults
@@ -182,6 +184,9 @@ class MountTask(composer.Task):
             physics.forward()
         if self._pushes is not None and self._pushes.active:
             self._push(physics, *self._pushes.due())
+        if self._drive.active:
+            sim = self._state(physics) if self._sim is None else self._sim
+            physics.data.xfrc_applied[self._index.board_body, :3] = self._drive.force(sim)[0]
         self._action = torch.as_tensor(np.asarray(action), dtype=torch.float32).reshape(1, -1)
         physics.data.ctrl[self._index.actuators] = self._mdp.targets(self._action)[0]
 

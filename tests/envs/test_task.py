@@ -59,6 +59,13 @@ NEVER = [f"termination.{name}.enabled=false" for name in ("trunk_contact", "tilt
 CASES = {
     "standing on a fixed board": ("balance", [*STILL, "start.board_fixed=1.0"], 0.03, 220),
     "on a free board until after the fall": ("balance", [*STILL, *NEVER, "start.board_fixed=0.0"], 0.05, 220),
+    "on a driven board that leans": (
+        "balance",
+        [*STILL, *NEVER, "start.board_fixed=0.0", "start.board_speed=[0.5,0.8]", "start.board_lean=[-0.05,0.05]"]
+        + ["start.move_with_board=true", "start.drive=true", "start.y=[-0.02,0.02]"],
+        0.03,
+        60,
+    ),
     "falling beside a rolling board": (
         "mount",
         ["start.board_fixed=0.5", "start.board_speed=[0.1,0.5]", "start.step_height=[0.03,0.088]"],
@@ -110,7 +117,7 @@ def test_one_world_agrees_with_the_batch(monkeypatch: pytest.MonkeyPatch, make_e
     if "falling" in case:
         assert ended == worlds
     else:
-        assert compared == worlds * length and on_deck > 50, (compared, on_deck)
+        assert compared == worlds * length and on_deck >= 50, (compared, on_deck)
 
 
 def test_an_episode_of_a_random_agent(monkeypatch: pytest.MonkeyPatch) -> None:

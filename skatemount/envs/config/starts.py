@@ -42,6 +42,8 @@ class StartConfig:
         move_with_board: True if a robot with every foot over the deck begins with the velocity of the board where it
             stands, as if it had been riding; ``lin_vel`` and ``ang_vel`` are added. False if the board rolls under a
             robot at rest.
+        drive: True if a force along a free board's heading balances its rolling resistance for the whole episode, so
+            that a rolling board keeps its speed; see `skatemount.envs.drive.Drive`.
         edge_margin: Smallest distance of a foot from the deck's edge, m.
         force: Each axis of a constant force on the trunk for the whole episode, N.
         torque: Each axis of a constant torque on the trunk for the whole episode, N m.
@@ -65,6 +67,7 @@ class StartConfig:
     board_lean: list[float]
     truck_angle: list[float] | None
     move_with_board: bool
+    drive: bool
     edge_margin: float
     force: list[float]
     torque: list[float]

@@ -61,6 +61,14 @@ class Physics(Protocol):
         """
         ...
 
+    def pull_board(self, force: Tensor) -> None:
+        """Set the force on the board, which acts at the deck's center of mass until the next call or reset.
+
+        Args:
+            force: ``[N, 3]`` world axes, N.
+        """
+        ...
+
     def state(self, rows: Tensor | None = None) -> SimState:
         """Return the state of every world, or of some.
 

@@ -117,6 +117,10 @@ class CpuPhysics:
         dof = self.index.base_dof.start
         self._qvel[:, dof : dof + 3] += np.where(mask.numpy()[:, None], velocity.numpy(), 0.0)
 
+    def pull_board(self, force: Tensor) -> None:
+        """Set the force on the board; see `Physics.pull_board`."""
+        self._wrench[:, self.index.board_body, :3] = force.numpy()
+
     def state(self, rows: Tensor | None = None) -> SimState:
         """Return the state of every world, or of some; see `Physics.state`."""
         which = slice(None) if rows is None else rows.numpy()

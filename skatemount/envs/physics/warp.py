@@ -266,6 +266,10 @@ class WarpPhysics:
         dof = self.index.base_dof.start
         self._state["qvel"][:, dof : dof + 3] += torch.where(mask.unsqueeze(1), velocity, 0.0)
 
+    def pull_board(self, force: Tensor) -> None:
+        """Set the force on the board; see `Physics.pull_board`."""
+        self._state["xfrc_applied"][:, self.index.board_body, :3] = force
+
     def state(self, rows: Tensor | None = None) -> SimState:
         """Return the state of every world, or of some; see `Physics.state`."""
 
