@@ -295,22 +295,23 @@ def terms_page(title: str, intro: str, registry: Any, group: str, about: Callabl
     lines = [f"# {title}", "", intro, "", *head("term", "kind", "in tables", "meaning")]
     sections: list[str] = []
     for name in registry.names():
-        function = registry.bind(name, {})
+        function = registry.definition(name)
         docstring = Docstring.of(function)
         kind = about(registry.attributes(name), function)
         lines.append(row(f"[`{name}`](#{group}-{name})", kind, weights(group, name), plain(docstring.paragraphs[0])))
         sections += ["", f"({group}-{name})=", f"## `{name}`", "", f"*{kind}*", ""]
         for paragraph in docstring.paragraphs:
             sections += [plain(paragraph), ""]
-        parameters = list(inspect.signature(function).parameters.values())[3:]
+        parameters = registry.parameters(name)
         if parameters:
             sections += head("parameter", "default", "meaning")
-            for parameter in parameters:
-                text = plain(docstring.entries.get(parameter.name, ""))
-                sections.append(row(f"`params.{parameter.name}`", code(parameter.default), text))
+            for parameter, default in parameters.items():
+                text = plain(docstring.entries.get(parameter, ""))
+                sections.append(row(f"`params.{parameter}`", code(default), text))
             sections.append("")
         source = f"{function.__module__}.{function.__name__}"
-        sections.append(f"Source: {{py:func}}`{source}`.")
+        role = "class" if isinstance(function, type) else "func"
+        sections.append(f"Source: {{py:{role}}}`{source}`.")
     return "\n".join(lines + sections) + "\n"
 
 

@@ -16,6 +16,7 @@ from skatemount.envs import success
 from skatemount.envs.commands import CommandGenerator
 from skatemount.envs.config.task import TaskConfig
 from skatemount.envs.geometry import board_direction
+from skatemount.envs.memory import TermMemory
 from skatemount.envs.observations import ObservationTable
 from skatemount.envs.rewards import RewardTable
 from skatemount.envs.scene import Scene
@@ -61,6 +62,7 @@ class Mdp:
         privileged: Observation that only the critic gets, in addition to the policy's.
         rewards: Reward terms.
         terminations: Termination terms.
+        memory: Memory of those terms that have one.
         max_mounted_time: Time that the robot has been mounted after which an episode is truncated, s; infinite if the
             time limit is the only one.
 
@@ -81,6 +83,10 @@ class Mdp:
             self.rewards = RewardTable(config.reward, self.context)
             self.terminations = TerminationTable(config.termination, self.context)
             self._scale = torch.as_tensor(robot.action_scale, dtype=torch.float32)
+        observing = [*self.observation.memory, *self.privileged.memory]
+        self.memory = TermMemory(
+            [*self.rewards.memory, *self.terminations.memory, *observing], observing, self.context, self.device
+        )
         self._command_generator = CommandGenerator(config.command, self.context.control_step, generator)
         # The time constant of `EpisodeState.soft_success` is 0.35 s.
         self._soft_success_decay = math.exp(-self.context.control_step / 0.35)
@@ -101,12 +107,13 @@ class Mdp:
         """
         return self.context.default_pose + self._scale * action.clamp(-self._action_clip, self._action_clip)
 
-    def begin(self, sim: SimState, bins: Tensor | None = None) -> EpisodeState:
+    def begin(self, sim: SimState, bins: Tensor | None = None, rows: Tensor | None = None) -> EpisodeState:
         """Begin new episodes.
 
         Args:
             sim: ``[N]`` start states.
             bins: ``[N]`` int64, the curriculum bins of the start states; -1 for none. All -1 if None.
+            rows: ``[N]`` int64, the worlds of the states in `memory`. None if there are no other worlds.
 
         Returns:
             ``[N]`` episodes at their start.
@@ -128,6 +135,7 @@ class Mdp:
         heading = (to_board @ sim.base_rot[..., :1]).squeeze(-1)
         fresh.start = torch.cat((position[:, :2], torch.atan2(heading[:, 1:2], heading[:, :1])), 1)
         self._command_generator.update(sim, fresh)
+        self.memory.begin(sim, fresh, rows)
         fresh.observation = self.observation(sim, fresh, self._noise)
         return fresh
 
@@ -144,6 +152,7 @@ class Mdp:
             Rewards, and the episodes that ended.
         """
         step = self.context.control_step
+        self.memory.next_step()
         episode.step = episode.step + 1
         episode.previous_action = episode.action
         episode.action = action.clamp(-self._action_clip, self._action_clip)
@@ -180,6 +189,9 @@ class Mdp:
         reward_terms = torch.where(diverged, 0.0, reward_terms)
         self._command_generator.update(sim, episode)
         episode.observation = self.observation(sim, episode, self._noise, episode.observation)
+        if self.privileged.memory:
+            # Once in each step, whether or not it is asked for.
+            self.privileged(sim, episode)
         succeeded = truncated & self._is_success(episode, step)
         return StepResult(reward_terms.sum(0), reward_terms, termination_flags, terminated, truncated, succeeded)
 

@@ -146,7 +146,9 @@ class MountEnv(EnvBase):
         self._randomizer = Randomizer(config.randomization, physics.index, physics.model, self.generator)
         self._randomizer.build_worlds(physics)
         self._episode = EpisodeState.zeros(n, self.mdp.context.layout, self.mdp.observation.size, self.device)
+        self._privileged = torch.zeros(n, self.mdp.privileged.size, device=self.device)
         self._begun = self._resumes = False
+        self.mdp.memory.allocate(n)
         self.statistics.clear()
 
     @plain_defaults
@@ -173,8 +175,7 @@ class MountEnv(EnvBase):
 
     def _present_observation(self) -> dict[str, Tensor]:
         """Return the present observations of every world by key, those of a world whose physics failed as zeros."""
-        with torch.inference_mode():
-            present = self._observe(self.sim, self._episode)
+        present = {"observation": self._episode.observation, "privileged": self._privileged}
         failed = self.physics.diverged().nonzero().squeeze(1)
         return {key: value.index_fill(0, failed, 0.0) for key, value in present.items()}
 
@@ -221,7 +222,7 @@ class MountEnv(EnvBase):
                 self._pushes.restart(mask)
             self.statistics.restart(mask)
             sim = self.physics.state(rows)
-            begun = self.mdp.begin(sim, start.bin)
+            begun = self.mdp.begin(sim, start.bin, rows)
             if self._random_phase and not self._begun:
                 most, here = self.mdp.context.episode_steps, self.device
                 begun.step = torch.randint(most, (len(rows),), generator=self.generator, device=here)
@@ -231,7 +232,9 @@ class MountEnv(EnvBase):
             self._begun = True
             self._episode[rows] = begun  # type: ignore[index]  # Mypy does not know tensorclass's method.
             self._sim = None
-            return self._observe(sim, begun)
+            first = self._observe(sim, begun)
+            self._privileged = self._privileged.index_copy(0, rows, first["privileged"])
+            return first
 
     def set_start_sampler(self, sample_poses: StartPoseSampler) -> None:
         """Draw the poses of all start states from now on with a function, such as a curriculum's.
@@ -295,7 +298,10 @@ class MountEnv(EnvBase):
         sim = self._sim = self.physics.state()
         diverged = self.physics.diverged()
         outcome = self.mdp.advance(sim, self._episode, action, diverged)
-        return outcome, self._observe(sim, self._episode), diverged.nonzero().squeeze(1)
+        observations = self._observe(sim, self._episode)
+        # Kept because a term with memory is computed once in each step.
+        self._privileged = observations["privileged"]
+        return outcome, observations, diverged.nonzero().squeeze(1)
 
     def _observe(self, sim: SimState, episode: EpisodeState) -> dict[str, Tensor]:
         observation, privileged = self.mdp.observe(sim, episode)
@@ -305,6 +311,8 @@ class MountEnv(EnvBase):
         """Return copies of all that shapes the worlds' future, in nested dicts; see `load_world_state`."""
         return {
             "physics": self.physics.state_dict(),
+            "memory": self.mdp.memory.state_dict(),
+            "privileged": self._privileged.clone(),
             "episode": {name: values.clone() for name, values in self._episode.to_dict().items()},
             "statistics": self.statistics.state_dict(),
             "pushes": self._pushes.state_dict(),
@@ -326,6 +334,8 @@ class MountEnv(EnvBase):
         self._episode = EpisodeState(
             **{name: values.to(self.device) for name, values in state["episode"].items()}, batch_size=[self.num_worlds]
         )
+        self.mdp.memory.load_state_dict(state["memory"])
+        self._privileged = state["privileged"].to(self.device)
         self.statistics.load_state_dict(state["statistics"])
         self._pushes.load_state_dict(state["pushes"])
         self._queue.load_state_dict(state["starts"])

@@ -7,7 +7,6 @@ is not in them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -15,12 +14,12 @@ from torch import Tensor
 from skatemount.envs import success
 from skatemount.envs.config.terms import TerminationTerm
 from skatemount.envs.state import EpisodeState, SimState
-from skatemount.envs.terms import Registry, TaskContext
+from skatemount.envs.terms import AnyTerm, Registry, TaskContext, memory_of
 
 TERMINATIONS = Registry("termination", flags=True)
 
 
-def termination(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+def termination(function: AnyTerm) -> AnyTerm:
     """Register a term that returns ``[N]`` bool and ends the episodes where it is true."""
     return TERMINATIONS.register()(function)
 
@@ -79,6 +78,7 @@ class TerminationTable:
 
     Attributes:
         names: Names of the enabled terms, in order.
+        memory: Those of the enabled terms that have a memory.
 
     Raises:
         ConfigError: A term or a parameter is unknown, or a parameter has a value that cannot be used.
@@ -89,6 +89,7 @@ class TerminationTable:
         bound = {name: TERMINATIONS.bind(name, term.params) for name, term in terms.items()}
         self.names = [name for name, term in terms.items() if term.enabled]
         self._functions = [bound[name] for name in self.names]
+        self.memory = memory_of(self._functions)
 
     def __call__(self, sim: SimState, episode: EpisodeState) -> Tensor:
         """Evaluate the terms.

@@ -1,8 +1,8 @@
 """Terms: named functions for rewards, observations and terminations, switched on by tables in YAML.
 
-A term is a function ``(sim, episode, context, **parameters)`` that is registered under its own name. A table in the
-configuration maps names of terms to their parameters. An unknown name or parameter is an error that lists the known
-ones.
+A term is a function ``(sim, episode, context, **parameters)`` that is registered under its own name, or a class with
+memory (`skatemount.envs.memory.TermWithMemory`). A table in the configuration maps names of terms to their parameters.
+An unknown name or parameter is an error that lists the known ones.
 """
 
 from __future__ import annotations
@@ -10,22 +10,25 @@ from __future__ import annotations
 import difflib
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from skatemount.envs.legs import Legs
+from skatemount.envs.memory import BoundMemoryTerm, check_class, term_name
 from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.scene import Scene
 from skatemount.envs.state import SimState
 from skatemount.utils.errors import ConfigError
 
 TermFunction = Callable[..., Tensor]
+AnyTerm = TypeVar("AnyTerm", bound=Callable[..., Any])
+"""A term as it is registered: a function that returns a tensor, or a class whose objects do."""
 
 
 @dataclass(frozen=True)
@@ -100,11 +103,11 @@ class Registry:
     def __init__(self, kind: str, flags: bool = False, columns: Columns | None = None):
         self.kind = kind
         self._flags, self._columns = flags, columns
-        self._functions: dict[str, TermFunction] = {}
+        self._functions: dict[str, Callable[..., Any]] = {}
         self._attributes: dict[str, Any] = {}
 
-    def register(self, attributes: Any = None) -> Callable[[TermFunction], TermFunction]:
-        """Return a decorator that registers a function under its own name.
+    def register(self, attributes: Any = None) -> Callable[[AnyTerm], AnyTerm]:
+        """Return a decorator that registers a function, or a class with memory, under its own name.
 
         Args:
             attributes: Properties of the term, which `attributes` returns.
@@ -113,8 +116,8 @@ class Registry:
             ConfigError: The name is taken.
         """
 
-        def add(function: TermFunction) -> TermFunction:
-            key = function.__name__
+        def add(function: AnyTerm) -> AnyTerm:
+            key = term_name(function)
             if key in self._functions:
                 raise ConfigError(
                     f"{self.kind} term {key!r} is registered twice, by {self._functions[key].__module__} and by "
@@ -143,11 +146,20 @@ class Registry:
         """Return the name of the module that registered a term."""
         return self._functions[name].__module__
 
-    def snapshot(self) -> tuple[dict[str, TermFunction], dict[str, Any]]:
+    def definition(self, name: str) -> Callable[..., Any]:
+        """Return the function or class of a term."""
+        return self._functions[name]
+
+    def parameters(self, name: str) -> dict[str, Any]:
+        """Return the default values of a term's own parameters by name."""
+        function = self._functions[name]
+        return {each.name: each.default for each in _own_parameters(function)}
+
+    def snapshot(self) -> tuple[dict[str, Callable[..., Any]], dict[str, Any]]:
         """Return the present terms, for `restore`."""
         return dict(self._functions), dict(self._attributes)
 
-    def restore(self, saved: tuple[dict[str, TermFunction], dict[str, Any]]) -> None:
+    def restore(self, saved: tuple[dict[str, Callable[..., Any]], dict[str, Any]]) -> None:
         """Go back to the terms of a snapshot."""
         self._functions, self._attributes = dict(saved[0]), dict(saved[1])
 
@@ -184,7 +196,11 @@ class Registry:
                 raise ConfigError(f"{where}.params.{key} is not a parameter; known: {names}")
         for key, value in params.items():
             _check_parameter(f"{where}.params.{key}", value, types[key])
-        bound = partial(function, **params) if params else function
+        bound: TermFunction
+        if isinstance(function, type):
+            bound = BoundMemoryTerm(function, params, where)
+        else:
+            bound = partial(function, **params) if params else function
         if function.__module__.startswith("skatemount."):
             return bound
         columns, attributes = self._columns, self._attributes[name]
@@ -203,7 +219,7 @@ class _CheckedTerm:
         function: The term with its parameters.
         where: Name of the term and its module, for messages.
         size: Takes the robot's layout and returns the shape of the result behind the dimension of the worlds.
-        flags: True if the result must be bool, False if it must be of floats.
+        flags: True if the result must be bool, False if it must be of the state's type, float32.
     """
 
     function: TermFunction
@@ -219,31 +235,47 @@ class _CheckedTerm:
         """
         value = self.function(sim, episode, context)
         shape = (sim.base_pos.shape[0], *self.size(context.layout))
-        kind = "bool" if self.flags else "float"
+        kind = torch.bool if self.flags else sim.base_pos.dtype
         if not isinstance(value, Tensor):
             found = type(value).__name__
         else:
-            fits = value.dtype == torch.bool if self.flags else value.is_floating_point()
-            if value.shape == shape and fits:
+            if value.shape == shape and value.dtype == kind:
                 return value
-            found = f"{str(value.dtype).removeprefix('torch.')} of shape {list(value.shape)}"
-        raise ConfigError(f"{self.where} returned {found}; it must return {kind} of shape {list(shape)}")
+            found = f"{_written(value.dtype)} of shape {list(value.shape)}"
+        raise ConfigError(f"{self.where} returned {found}; it must return {_written(kind)} of shape {list(shape)}")
 
 
-def _parameter_types(where: str, function: TermFunction) -> dict[str, Any]:
+def _written(kind: torch.dtype) -> str:
+    return str(kind).removeprefix("torch.")
+
+
+def memory_of(terms: Sequence[TermFunction]) -> list[BoundMemoryTerm]:
+    """Return those of bound terms that have a memory."""
+    plain = [term.function if isinstance(term, _CheckedTerm) else term for term in terms]
+    return [term for term in plain if isinstance(term, BoundMemoryTerm)]
+
+
+def _own_parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
+    """Return the parameters of a function behind state, episode and context, or of a class behind the worlds."""
+    first = 2 if isinstance(function, type) else 3
+    return list(inspect.signature(function).parameters.values())[first:]
+
+
+def _parameter_types(where: str, function: Callable[..., Any]) -> dict[str, Any]:
     """Return the types of a term's own parameters by name.
 
     Raises:
         ConfigError: The function is no term: it does not take state, episode and context, or a parameter has no type
-            or no default.
+            or no default. Or the class lacks a method of a term with memory.
     """
-    parameters = list(inspect.signature(function).parameters.values())
-    first, own = parameters[:3], parameters[3:]
-    if [each.name for each in first] != ["sim", "episode", "context"]:
-        found = ", ".join(each.name for each in parameters)
+    if isinstance(function, type):
+        check_class(where, function)
+    elif (names := list(inspect.signature(function).parameters))[:3] != ["sim", "episode", "context"]:
+        found = ", ".join(names)
         raise ConfigError(f"{where} takes ({found}); a term takes (sim, episode, context) and then its parameters")
+    own = _own_parameters(function)
     try:
-        types = get_type_hints(function)
+        types = get_type_hints(getattr(function, "__init__") if isinstance(function, type) else function)  # noqa: B009
     except NameError as error:
         raise ConfigError(f"{where}: {error} in its annotations; import it where the term can see it") from error
     for each in own:

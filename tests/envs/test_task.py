@@ -79,6 +79,7 @@ CASES = {
 def test_one_world_agrees_with_the_batch(monkeypatch: pytest.MonkeyPatch, make_env: Any, case: str) -> None:
     stage, overrides, size, length = CASES[case]
     overrides = [*QUIET, *overrides, "observation.history_length=2", "episode_length=20.0"]
+    overrides += ["reward.feet_air_time={weight: 5.0, params: {threshold: 0.1}}"]
     overrides += ["start.force=[-0.5,0.5]", "start.torque=[-0.1,0.1]"]
     worlds = 2
     env: MountEnv = make_env(stage, worlds, overrides)

@@ -41,9 +41,10 @@ def test_a_term_is_bound_to_its_parameters(registry: Registry) -> None:
 @pytest.mark.parametrize(
     ("returned", "expected"),
     [
-        (lambda sim: sim.base_pos[:, None], "returned float32 of shape [2, 1]; it must return float of shape [2]"),
-        (lambda sim: sim.base_pos > 0, "returned bool of shape [2]; it must return float of shape [2]"),
-        (lambda sim: 1.0, "returned float; it must return float of shape [2]"),
+        (lambda sim: sim.base_pos[:, None], "returned float32 of shape [2, 1]; it must return float32 of shape [2]"),
+        (lambda sim: sim.base_pos > 0, "returned bool of shape [2]; it must return float32 of shape [2]"),
+        (lambda sim: sim.base_pos.double(), "returned float64 of shape [2]; it must return float32 of shape [2]"),
+        (lambda sim: 1.0, "returned float; it must return float32 of shape [2]"),
     ],
 )
 def test_a_wrong_result_of_a_plugins_term_is_an_error(returned: Callable[..., Any], expected: str) -> None:

@@ -15,7 +15,7 @@ from skatemount.envs.mirror import mirror_map
 from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.sampling import coarse_noise
 from skatemount.envs.state import EpisodeState, SimState
-from skatemount.envs.terms import Registry, TaskContext
+from skatemount.envs.terms import AnyTerm, Registry, TaskContext, memory_of
 from skatemount.utils.errors import ConfigError
 
 Size = Callable[[JointLayout, dict[str, Any]], int]
@@ -42,7 +42,7 @@ class TermLayout:
 OBSERVATIONS = Registry("observation", columns=lambda term, layout, params: term.count(layout, params))
 
 
-def observation(size: int | Size, mirror: str | None) -> Callable:
+def observation(size: int | Size, mirror: str | None) -> Callable[[AnyTerm], AnyTerm]:
     """Return a decorator that registers an observation term.
 
     Args:
@@ -78,6 +78,7 @@ class ObservationTable:
     Attributes:
         size: Number of values in the vector.
         names: Names of the terms, in order.
+        memory: Those of the terms that have a memory.
 
     Raises:
         ConfigError: The table is empty, a term is unknown, or a setting has a value that cannot be used.
@@ -95,6 +96,7 @@ class ObservationTable:
         self._context = context
         self._where = where
         self._functions = [OBSERVATIONS.bind(name, term.params, where) for name, term in terms.items()]
+        self.memory = memory_of(self._functions)
         self._blocks = []
         for name, term in terms.items():
             own = term.history_length

@@ -190,7 +190,8 @@ class StartState:
 
     def map(self, function: Callable[[Tensor], Tensor]) -> StartState:
         """Apply a function to every tensor; fields that are None stay None."""
-        return StartState(**{n: value if value is None else function(value) for n, value in vars(self).items()})
+        fields: dict[str, Any] = {n: v if v is None else function(v) for n, v in vars(self).items()}
+        return StartState(**fields)
 
     def __getitem__(self, rows: Tensor | slice) -> StartState:
         """Return the start states of some rows."""
@@ -216,7 +217,8 @@ class StartState:
     @staticmethod
     def cat(parts: list[StartState]) -> StartState:
         """Concatenate batches of start states."""
-        return StartState(**{name: _merge(parts, name, torch.cat) for name in vars(parts[0])})
+        fields: dict[str, Any] = {name: _merge(parts, name, torch.cat) for name in vars(parts[0])}
+        return StartState(**fields)
 
     @staticmethod
     def where(mask: Tensor, first: StartState, second: StartState) -> StartState:
@@ -231,7 +233,8 @@ class StartState:
         def select(pair: list[Tensor]) -> Tensor:
             return where_rows(mask, *pair)
 
-        return StartState(**{name: _merge([first, second], name, select) for name in vars(first)})
+        fields: dict[str, Any] = {name: _merge([first, second], name, select) for name in vars(first)}
+        return StartState(**fields)
 
 
 _BOARD = {

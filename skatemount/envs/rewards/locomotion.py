@@ -11,6 +11,7 @@ from torch import Tensor
 
 from skatemount.envs import success
 from skatemount.envs.geometry import rotate_inverse
+from skatemount.envs.memory import TermWithMemory
 from skatemount.envs.rewards.table import event_penalty, penalty, reward
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import TaskContext
@@ -217,6 +218,41 @@ def _commanded(episode: EpisodeState) -> Tensor:
 def touchdown_without_command(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Count the feet that begin a contact in this step while the norm of the command is at most 0.1 (paper's code)."""
     return episode.touchdown.sum(-1) * ~_commanded(episode)
+
+
+@reward
+class FeetAirTime(TermWithMemory):
+    """Reward long steps: the sum over feet of (air time - threshold) in the step of the first contact, s (legged_gym).
+
+    A foot's air time is the time since its last contact. As in legged_gym, two steps count as one contact if either
+    has one, and the term counts only while the norm of the commanded horizontal velocity is above 0.1 m/s (Rudin et
+    al., "Learning to Walk in Minutes Using Massively Parallel Deep Reinforcement Learning", 2021, and the code with
+    it). Here a contact is a force of more than 1 N on deck or ground in any direction.
+
+    Args:
+        context: Constants.
+        num_worlds: Number of worlds.
+        threshold: Air time that is worth nothing, s; shorter steps are penalized.
+    """
+
+    def __init__(self, context: TaskContext, num_worlds: int, threshold: float = 0.5):
+        self._threshold = threshold
+        self.air_time = torch.zeros(num_worlds, context.layout.num_feet)
+        self.touched = torch.zeros(num_worlds, context.layout.num_feet, dtype=torch.bool)
+
+    def reset(self, rows: Tensor) -> None:
+        """Forget the air time of some worlds, ``[K]`` int64."""
+        self.air_time.index_fill_(0, rows, 0.0)
+        self.touched.index_fill_(0, rows, False)
+
+    def __call__(self, sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
+        """Return the term, ``[N]`` s."""
+        contact = episode.touching | self.touched
+        landed = (self.air_time > 0) & contact
+        air_time = self.air_time + context.control_step
+        self.air_time, self.touched = torch.where(contact, 0.0, air_time), episode.touching
+        walking = torch.linalg.vector_norm(episode.command[:, :2], dim=-1) > 0.1
+        return ((air_time - self._threshold) * landed).sum(-1) * walking
 
 
 @penalty

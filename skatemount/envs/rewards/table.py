@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -11,7 +10,7 @@ from torch import Tensor
 
 from skatemount.envs.config.terms import RewardTerm
 from skatemount.envs.state import EpisodeState, SimState
-from skatemount.envs.terms import Registry, TaskContext, upright
+from skatemount.envs.terms import AnyTerm, Registry, TaskContext, memory_of, upright
 from skatemount.utils.errors import ConfigError
 
 
@@ -31,17 +30,17 @@ class RewardKind:
 REWARDS = Registry("reward")
 
 
-def reward(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+def reward(function: AnyTerm) -> AnyTerm:
     """Register a term that is added, with a weight per second."""
     return REWARDS.register(RewardKind(1))(function)
 
 
-def penalty(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+def penalty(function: AnyTerm) -> AnyTerm:
     """Register a term that is subtracted, with a weight per second."""
     return REWARDS.register(RewardKind(-1))(function)
 
 
-def event_penalty(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+def event_penalty(function: AnyTerm) -> AnyTerm:
     """Register a term that is subtracted, with a weight for each occurrence."""
     return REWARDS.register(RewardKind(-1, event=True))(function)
 
@@ -56,6 +55,7 @@ class RewardTable:
 
     Attributes:
         names: Names of the terms, in order.
+        memory: Those of the terms that have a memory.
 
     Raises:
         ConfigError: A term is unknown, or a setting has a value that cannot be used.
@@ -79,6 +79,7 @@ class RewardTable:
                 rows.append((name, term, function, REWARDS.attributes(name)))
         self.names = [name for name, *_ in rows]
         self._functions = [function for _, _, function, _ in rows]
+        self.memory = memory_of(self._functions)
         self._gated = [term.upright for _, term, _, _ in rows]
         step = context.control_step
         weights = [k.sign * t.weight * (1.0 if k.event else step) for _, t, _, k in rows]

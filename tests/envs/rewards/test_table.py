@@ -49,6 +49,7 @@ PAPER = {
 ADDED = {
     "alive", "upward", "track_lin_vel", "track_ang_vel", "touchdown_without_command", "feet_on_board", "mounted",
     "feet_on_board_paper", "all_feet_on_board", "feet_proximity", "approach", "distance", "alignment",
+    "feet_air_time",
     "orientation_paper",
 }  # fmt: skip
 
