@@ -17,6 +17,7 @@ from skatemount.agents.trained_policy import MODULE, make_policy_card
 from skatemount.config import compose, compose_program
 from skatemount.config.overrides import prepare
 from skatemount.envs.task import MountTask
+from skatemount.envs.tasks import TASKS
 from skatemount.evaluate import evaluate, film_commands
 from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.results import Evaluation
@@ -123,10 +124,11 @@ def test_the_next_commands_film_a_failure_and_a_success(policy: Path) -> None:
 
     def result(*success: int) -> Evaluation:
         tensors: dict[str, Any] = {name: torch.zeros(len(success)) for name in EpisodeRecords.__annotations__}
+        tensors["metrics"] = {metric.name: torch.zeros(len(success)) for metric in TASKS.get("mount").metrics}
         tensors["start"] = torch.zeros(len(success), 3)
         tensors |= {name: torch.zeros(len(success), dtype=torch.int64) for name in ("variant", "end")}
         tensors |= {"number": torch.arange(len(success)), "success": torch.tensor(success) > 0}
-        return Evaluation(EpisodeRecords(**tensors), ["not_mounted"])
+        return Evaluation(EpisodeRecords(**tensors), ["not_mounted"], TASKS.get("mount"))
 
     commands = film_commands(tasks, {"balance-fixed": result(1, 1, 0), "rolling": result(1, 0, 0)})
     assert "suite=rolling" in commands["film a failure"] and commands["film a failure"].endswith("episode=1")

@@ -33,7 +33,6 @@ ELSEWHERE: dict[str, str] = {
     "num_steps_per_env": "collector.steps_per_env",
     "run_name": "logger.name",
     "save_interval": "logger.checkpoint_every",
-    "task": "stage",
     "total_timesteps": "total_frames",
     "value_loss_coef": "algorithm.critic_coeff",
 }

@@ -198,10 +198,16 @@ class TrainConfig(TaskConfig):
             for name, link in self.curriculum.stages.items():
                 check_choice("stage", name)
                 self._check_gate(f"curriculum.stages.{name}.gate", link.gate)
-        elif self.curriculum.kind != "none" and self.success != "mount":
+
+    def validate_terms(self) -> None:
+        """Raise `ConfigError` for an unknown task or term, or a curriculum that the task cannot have."""
+        super().validate_terms()
+        from skatemount.envs.tasks import TASKS  # it needs torch
+
+        if self.curriculum.kind not in ("none", "stages") and not TASKS.get(self.success).start_curricula:
             raise ConfigError(
-                f"curriculum.kind={self.curriculum.kind} needs a stage with a board to mount, but the stage is "
-                f"{self.stage.name}; use curriculum=none"
+                f"curriculum.kind={self.curriculum.kind} cannot choose the start states of success={self.success}, the "
+                f"task of stage {self.stage.name}; use curriculum=none"
             )
 
     def _check_gate(self, where: str, gate: float | None) -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from skatemount.envs import success
 from skatemount.envs.mdp import Mdp, StepResult
 from skatemount.envs.state import EpisodeState
+from skatemount.envs.tasks.definition import described
+from skatemount.utils.errors import ConfigError
 
-SUMS = ("episodes", "successes", "length", "feet", "mount_time", "time_outs")
-"""Names of the sums over ended episodes."""
+SUMS = ("episodes", "successes", "length", "time_outs")
+"""Names of the sums over ended episodes; those of the task's own values follow."""
 
 
 class EpisodeStatistics:
@@ -22,9 +23,9 @@ class EpisodeStatistics:
     """
 
     def __init__(self, mdp: Mdp, num_worlds: int):
-        self._step = mdp.context.control_step
-        self._seconds = mdp.context.episode_steps * self._step
-        self._mounts = mdp.criterion == "mount"
+        self._context = mdp.context
+        self._seconds = mdp.context.episode_steps * mdp.context.control_step
+        self._values = {each.name: each.training for each in mdp.definition.metrics if each.training is not None}
         self._rewards, self._terminations = mdp.rewards.names, mdp.termination_names()
         self._n, self._device = num_worlds, mdp.device
         self.clear()
@@ -33,7 +34,7 @@ class EpisodeStatistics:
         """Reset all sums, those of the running episodes included."""
         with self._device:
             self._returns = torch.zeros(len(self._rewards), self._n)
-            self._feet = torch.zeros(self._n)
+            self._running = {name: torch.zeros(self._n) for name, each in self._values.items() if each.over == "steps"}
             self._steps = torch.zeros(self._n)
             self._counted = torch.ones(self._n, dtype=torch.bool)
         self._clear_sums()
@@ -45,7 +46,8 @@ class EpisodeStatistics:
             mask: ``[N]`` bool, the worlds that are reset.
         """
         self._returns.masked_fill_(mask, 0.0)
-        self._feet.masked_fill_(mask, 0.0)
+        for total in self._running.values():
+            total.masked_fill_(mask, 0.0)
         self._steps.masked_fill_(mask, 0.0)
         self._counted |= mask
 
@@ -55,7 +57,7 @@ class EpisodeStatistics:
 
     def _clear_sums(self) -> None:
         with self._device:
-            self._sums = torch.zeros(len(SUMS), dtype=torch.float64)
+            self._sums = torch.zeros(len(SUMS) + len(self._values), dtype=torch.float64)
             self._return_sums = torch.zeros(len(self._rewards))
             self._termination_counts = torch.zeros(len(self._terminations))
 
@@ -68,20 +70,23 @@ class EpisodeStatistics:
             done: ``[N]`` bool, episodes that ended in the step.
         """
         self._returns += outcome.reward_terms
-        self._feet += episode.on_deck.sum(-1)
         self._steps += 1.0
         counted = done & self._counted
         ended = counted.to(torch.float32)
         succeeded = (outcome.succeeded & counted).to(torch.float32)
-        times = torch.where(outcome.succeeded, success.time_to_mount(episode, self._step), 0.0)
-        values = (
-            ended,
-            succeeded,
-            episode.step * ended,
-            self._feet * ended / self._steps,
-            times * succeeded,
-            outcome.truncated * ended,
-        )
+        values = [ended, succeeded, episode.step * ended, outcome.truncated * ended]
+        for name, each in self._values.items():
+            value = each.function(episode, self._context)
+            if value.shape != done.shape:
+                found, expected = described(value), list(done.shape)
+                raise ConfigError(f"metric {name!r}: training returned {found}; it must return {expected}")
+            if each.over == "steps":
+                self._running[name] += value
+                values.append(self._running[name] * ended / self._steps)
+            else:
+                here = counted & outcome.succeeded if each.over == "success" else counted
+                # A world whose physics failed may hold a value that is not finite.
+                values.append(torch.where(here & value.isfinite(), value, 0.0))
         self._sums += torch.stack(values).sum(1)
         self._return_sums += self._returns @ ended
         self._termination_counts += outcome.termination_flags.to(torch.float32) @ ended
@@ -93,7 +98,7 @@ class EpisodeStatistics:
         Returns:
             Means by metric name; empty if no episode ended.
         """
-        sums = dict(zip(SUMS, self._sums.tolist()))
+        sums = dict(zip((*SUMS, *self._values), self._sums.tolist()))
         n = sums["episodes"]
         if not n:
             return {}
@@ -102,10 +107,10 @@ class EpisodeStatistics:
             "Train/mean_reward": float(returns.sum()),
             "Train/mean_episode_length": sums["length"] / n,
             "Success/rate": sums["successes"] / n,
-            "Success/feet_on_board": sums["feet"] / n,
         }
-        if sums["successes"] and self._mounts:
-            metrics["Success/time_to_mount"] = sums["mount_time"] / sums["successes"]
+        for name, each in self._values.items():
+            if count := sums["successes"] if each.over == "success" else n:
+                metrics[f"Success/{name}"] = sums[name] / count
         for name, value in zip(self._rewards, returns.tolist()):
             metrics[f"Episode_Reward/{name}"] = value / self._seconds
         for name, value in zip(self._terminations, (self._termination_counts / n).tolist()):

@@ -21,6 +21,7 @@ from skatemount.envs.observations import ObservationTable
 from skatemount.envs.rewards import RewardTable
 from skatemount.envs.scene import Scene
 from skatemount.envs.state import EpisodeState, SimState
+from skatemount.envs.tasks import TASKS
 from skatemount.envs.terminations import TerminationTable
 from skatemount.envs.terms import TaskContext
 
@@ -57,7 +58,7 @@ class Mdp:
     Attributes:
         context: Constants of the task.
         device: Device of the states, that of the generator.
-        criterion: Name of the success criterion, a key of `skatemount.envs.success.ACHIEVED`.
+        definition: The task's success criterion and metrics.
         observation: Observation of the policy.
         privileged: Observation that only the critic gets, in addition to the policy's.
         rewards: Reward terms.
@@ -90,9 +91,8 @@ class Mdp:
         self._command_generator = CommandGenerator(config.command, self.context.control_step, generator)
         # The time constant of `EpisodeState.soft_success` is 0.35 s.
         self._soft_success_decay = math.exp(-self.context.control_step / 0.35)
-        self.criterion = config.success
+        self.definition = TASKS.get(config.success)
         self.max_mounted_time = math.inf
-        self._is_success = success.ACHIEVED[config.success]
         self._noise = generator if tables.noise else None
         self._action_clip = robot.config.action_clip
 
@@ -192,7 +192,7 @@ class Mdp:
         if self.privileged.memory:
             # Once in each step, whether or not it is asked for.
             self.privileged(sim, episode)
-        succeeded = truncated & self._is_success(episode, step)
+        succeeded = truncated & self.definition.succeeded(sim, episode, self.context)
         return StepResult(reward_terms.sum(0), reward_terms, termination_flags, terminated, truncated, succeeded)
 
     def termination_names(self) -> list[str]:

@@ -1,4 +1,4 @@
-"""MountBench's definition of success, which rewards, training and evaluation share."""
+"""Contacts, and what *mounted* means; rewards, tasks, training and evaluation share it."""
 
 from __future__ import annotations
 
@@ -7,18 +7,13 @@ import math
 import torch
 from torch import Tensor
 
-from skatemount.envs.config.task import HOLD
 from skatemount.envs.geometry import beyond_rectangle
-from skatemount.envs.state import EpisodeState, SimState
+from skatemount.envs.state import SimState
 
 PRESS = 1.0
 """Force above which a contact counts, N."""
 FLICKER = 0.1
 """Longest interruption of a foot's contact with the deck that is forgiven, s."""
-MAX_VELOCITY_ERROR = 0.25
-"""Bound on the mean error of the horizontal velocity of a robot that follows its command, m/s."""
-MAX_TURN_ERROR = 0.3
-"""Bound on the mean error of the turning rate of a robot that follows its command, rad/s."""
 MAX_TRUNK_TILT = math.radians(45)
 MAX_DECK_TILT = math.radians(30)
 
@@ -95,48 +90,3 @@ def nearly_mounted(
     near = (beyond_x < 0) & (beyond_y < 0) & (height > 0.0) & (height < foot_radius + 0.02)
     sound = ~off_deck_contact & (-sim.gravity[:, 2] > math.cos(MAX_TRUNK_TILT))
     return near.float().mean(-1) * sound
-
-
-def stood(episode: EpisodeState, control_step: float) -> Tensor:
-    """Test whether the robot was mounted throughout the last second.
-
-    Args:
-        episode: The episodes, at their last step.
-        control_step: Time between two actions, s.
-
-    Returns:
-        ``[N]`` bool.
-    """
-    return episode.mounted_time >= HOLD - control_step / 2
-
-
-def followed(episode: EpisodeState, control_step: float) -> Tensor:
-    """Test whether the robot followed its velocity commands: mean errors below 0.25 m/s and 0.3 rad/s.
-
-    Args:
-        episode: The episodes, at their last step.
-        control_step: Time between two actions, s.
-
-    Returns:
-        ``[N]`` bool.
-    """
-    mean = episode.command_error / episode.step.clamp(min=1).unsqueeze(1)
-    return (mean[:, 0] < MAX_VELOCITY_ERROR) & (mean[:, 1] < MAX_TURN_ERROR)
-
-
-ACHIEVED = {"mount": stood, "gait": followed}
-"""The success test of each criterion. An episode must also last until its time limit."""
-
-
-def time_to_mount(episode: EpisodeState, control_step: float) -> Tensor:
-    """Compute the time from the first foot-deck contact to the start of the present mounted stretch.
-
-    Args:
-        episode: The episodes, at their last step.
-        control_step: Time between two actions, s.
-
-    Returns:
-        ``[N]`` s; only meaningful for an episode that has succeeded.
-    """
-    elapsed = episode.step * control_step
-    return (elapsed - episode.mounted_time - episode.first_contact).clamp(min=0.0)

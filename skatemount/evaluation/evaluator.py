@@ -28,9 +28,6 @@ NUM_WORLDS = 256
 """Default number of worlds. The randomized worlds depend on it, so it is the same on every machine and for any number
 of episodes."""
 
-TIME_LIMIT = {"mount": "not_mounted", "gait": "not_followed"}
-"""Name of a failure that lasted until the time limit, by the task's success criterion."""
-
 
 def mix_seeds(*parts: int) -> int:
     """Return one seed made of several, different for different parts.
@@ -103,7 +100,8 @@ class Evaluator:
             # A round is over early if every episode ended early.
             report(number + 1, 0)
         records = EpisodeRecords.cat(parts)[:episodes]
-        return Evaluation(records, end_names=self.end_names, evaluated=self.describe())
+        task, layout = self.env.mdp.definition, self.env.mdp.context.layout
+        return Evaluation(records, self.end_names, task, task.most(layout), evaluated=self.describe())
 
     def round(self, policy: Policy, number: int, watch: Callable[[int], None] | None = None) -> EpisodeRecords:
         """Run one episode in every world; the same round always gives the same episodes.
@@ -140,7 +138,7 @@ class Evaluator:
     def end_names(self) -> list[str]:
         """Names of the ends of an episode, indexed by `EpisodeRecords.end`."""
         mdp = self.env.mdp
-        return [TIME_LIMIT[mdp.criterion], *mdp.termination_names()]
+        return [mdp.definition.failure, *mdp.termination_names()]
 
     def has_ended(self, world: int) -> bool:
         """Return True if a world's episode of the current round has ended."""
@@ -149,6 +147,7 @@ class Evaluator:
     def describe(self) -> dict[str, Any]:
         """Return the settings of the evaluation as plain values."""
         return {
+            "task": self.env.mdp.definition.name,
             "num_worlds": self.env.num_worlds,
             "episode_length": self.config.episode_length,
             "control_step": self.env.mdp.context.control_step,

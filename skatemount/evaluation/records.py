@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
-from skatemount.envs import success
 from skatemount.envs.mdp import StepResult
 from skatemount.envs.mount_env import MountEnv
-from skatemount.envs.state import EpisodeState, SimState
-
-SLIP_SPEED = 0.25
-"""Speed of a pressing foot along the deck that counts as a slip, m/s."""
+from skatemount.envs.state import EpisodeState
+from skatemount.envs.tasks.definition import checked_value
 
 
 @dataclass
@@ -29,13 +27,7 @@ class EpisodeRecords:
         end: ``[N]`` int64, 0 for the time limit, i for the i-th of `skatemount.envs.mdp.Mdp.termination_names`. If
             several were true in the last step, it is the first of them.
         duration: ``[N]`` s.
-        mount_time: ``[N]`` time from the first contact with the deck to standing on it, s; nan for failures and for
-            tasks without mounting.
-        feet: ``[N]`` mean number of feet on the deck during the last second before the time limit; 0 if the episode
-            ended earlier.
-        displacement: ``[N]`` horizontal distance between the deck's center at the start and at the end, m.
-        slips: ``[N]`` int64, number of slips; see `sliding`.
-        energy: ``[N]`` sum over the control steps of `power` times the control step, J.
+        metrics: ``[N]`` values by the name of the metric, those of the task (`skatemount.envs.tasks`).
     """
 
     number: Tensor
@@ -45,45 +37,27 @@ class EpisodeRecords:
     success: Tensor
     end: Tensor
     duration: Tensor
-    mount_time: Tensor
-    feet: Tensor
-    displacement: Tensor
-    slips: Tensor
-    energy: Tensor
+    metrics: dict[str, Tensor] = field(default_factory=dict)
 
     def __getitem__(self, rows: Tensor | slice) -> EpisodeRecords:
         """Return the records of some episodes."""
-        return EpisodeRecords(**{name: value[rows] for name, value in vars(self).items()})
+        return _columnwise([self], lambda columns: columns[0][rows])
 
     def __len__(self) -> int:
         return len(self.number)
 
     @staticmethod
-    def cat(parts: list[EpisodeRecords]) -> EpisodeRecords:
-        """Concatenate records."""
-        return EpisodeRecords(**{name: torch.cat([getattr(p, name) for p in parts]) for name in vars(parts[0])})
+    def cat(parts: Sequence[EpisodeRecords]) -> EpisodeRecords:
+        """Concatenate records of the same task."""
+        return _columnwise(parts, torch.cat)
 
 
-def sliding(sim: SimState, on_deck: Tensor) -> Tensor:
-    """Return the feet that slide on the deck, ``[N, F]`` bool.
-
-    A foot slides if it presses on the deck and its center moves along the deck's plane, relative to the board, faster
-    than 0.25 m/s. A *slip* is a control step in which a foot slides and did not slide in the step before. One long
-    slide counts once, and so does a foot that slides as it lands.
-
-    Args:
-        sim: The state.
-        on_deck: ``[N, F]`` bool, feet that press on the deck.
-    """
-    return on_deck & (torch.linalg.vector_norm(sim.foot_vel_board[..., :2], dim=-1) > SLIP_SPEED)
-
-
-def power(sim: SimState) -> Tensor:
-    """Return the mechanical power of the joints, ``sum(|torque * velocity|)``, ``[N]``, W.
-
-    Absolute values, because a motor that brakes does not give energy back.
-    """
-    return (sim.joint_torque * sim.joint_vel).abs().sum(-1)
+def _columnwise(parts: Sequence[EpisodeRecords], make: Callable[[list[Tensor]], Tensor]) -> EpisodeRecords:
+    """Return records of which each column is made from that column of all parts."""
+    names = [name for name in vars(parts[0]) if name != "metrics"]
+    columns = {name: make([getattr(part, name) for part in parts]) for name in names}
+    metrics = {name: make([part.metrics[name] for part in parts]) for name in parts[0].metrics}
+    return EpisodeRecords(**columns, metrics=metrics)
 
 
 class EpisodeTracker:
@@ -98,23 +72,20 @@ class EpisodeTracker:
 
     def __init__(self, env: MountEnv):
         self._env = env
-        context = env.mdp.context
-        self._step = context.control_step
-        self._last = min(context.episode_steps, max(1, round(success.HOLD / self._step)))
-        self._first_counted = context.episode_steps - self._last
+        self._task = env.mdp.definition
+        self._context = env.mdp.context
 
     def begin(self) -> None:
         """Begin new episodes; call after the environment's reset."""
         env, n = self._env, self._env.num_worlds
-        self._board = env.sim.board_pos[:, :2].clone()
         self._start, self._fixed = env.episode.start.clone(), env.sim.board_fixed.clone()
-        with self._board.device:
-            self._sliding = torch.zeros(n, env.mdp.context.layout.num_feet, dtype=torch.bool)
+        self._measures = {
+            metric.name: metric.start(env.sim, env.episode, self._context) for metric in self._task.metrics
+        }
+        self._values: dict[str, Tensor] = {}
+        with self._start.device:
             self._end, self._duration = torch.full((n,), -1), torch.zeros(n)
-            self._success, self._mount_time = torch.zeros(n, dtype=torch.bool), torch.full((n,), torch.nan)
-            self._feet, self._displacement = torch.zeros(n), torch.zeros(n)
-            self._slips, self._energy = torch.zeros(n, dtype=torch.int64), torch.zeros(n)
-        self._steps = 0
+            self._success = torch.zeros(n, dtype=torch.bool)
 
     @property
     def finished(self) -> bool:
@@ -134,26 +105,19 @@ class EpisodeTracker:
             done: ``[N]`` bool, episodes that ended.
         """
         sim = self._env.sim
-        self._steps += 1
         running = self._end < 0
         # The last row is true where physics failed: the state of such a world means nothing.
         sound = running & ~outcome.termination_flags[-1]
-        slides = sliding(sim, episode.on_deck)
-        onsets = (slides & ~self._sliding).sum(-1)
-        self._sliding = slides
-        self._slips = torch.where(sound, self._slips + onsets, self._slips)
-        self._energy = torch.where(sound, self._energy + power(sim) * self._step, self._energy)
-        moved = torch.linalg.vector_norm(sim.board_pos[:, :2] - self._board, dim=-1)
-        self._displacement = torch.where(sound, moved, self._displacement)
-        if self._steps > self._first_counted:
-            self._feet = self._feet + episode.on_deck.sum(-1)
+        for metric in self._task.metrics:
+            value = self._measures[metric.name](sim, episode, self._context)
+            value = checked_value(value, metric, self._task.name, episode)
+            before = self._values.get(metric.name, torch.zeros_like(value))
+            self._values[metric.name] = torch.where(sound, value, before)
         new = done & running
         early = outcome.termination_flags.to(torch.int8).argmax(0) + 1
         self._end = torch.where(new, torch.where(outcome.terminated, early, 0), self._end)
-        self._duration = torch.where(new, episode.step * self._step, self._duration)
+        self._duration = torch.where(new, episode.step * self._context.control_step, self._duration)
         self._success = torch.where(new, outcome.succeeded, self._success)
-        known = new & outcome.succeeded & episode.first_contact.isfinite()
-        self._mount_time = torch.where(known, success.time_to_mount(episode, self._step), self._mount_time)
 
     def records(self, first: int) -> EpisodeRecords:
         """Return the records of the episodes; call when all have ended.
@@ -162,6 +126,15 @@ class EpisodeTracker:
             first: Number of the first world's episode; the others follow in order.
         """
         n = len(self._end)
+        counted = {"complete": self._end == 0, "success": self._success}
+        metrics = {
+            metric.name: (
+                self._values[metric.name]
+                if metric.counts == "all"
+                else torch.where(counted[metric.counts], self._values[metric.name], metric.otherwise)
+            ).cpu()
+            for metric in self._task.metrics
+        }
         return EpisodeRecords(
             number=torch.arange(first, first + n),
             variant=torch.zeros(n, dtype=torch.int64),
@@ -170,9 +143,5 @@ class EpisodeTracker:
             success=self._success.cpu(),
             end=self._end.cpu(),
             duration=self._duration.cpu(),
-            mount_time=self._mount_time.cpu(),
-            feet=torch.where(self._end == 0, self._feet / self._last, 0.0).cpu(),
-            displacement=self._displacement.cpu(),
-            slips=self._slips.cpu(),
-            energy=self._energy.cpu(),
+            metrics=metrics,
         )

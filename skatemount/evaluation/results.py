@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import torch
-from torch import Tensor
 
+from skatemount.envs.tasks.definition import TaskDefinition
 from skatemount.evaluation.intervals import wilson_interval
 from skatemount.evaluation.records import EpisodeRecords
 
@@ -20,12 +20,16 @@ class Evaluation:
         records: The episodes, in the order of their numbers.
         end_names: Names of the ends of an episode, indexed by `EpisodeRecords.end`. The first is the name of a failure
             that lasted until the time limit, the others are the task's terminations.
+        task: The task, with its metrics.
+        most: Largest possible value by name of those metrics that have one.
         variants: Names of the suite's variants, indexed by `EpisodeRecords.variant`; empty if it has none.
         evaluated: Policy, suite and settings of the evaluation: all that is needed to repeat it.
     """
 
     records: EpisodeRecords
     end_names: list[str]
+    task: TaskDefinition
+    most: dict[str, float] = field(default_factory=dict)
     variants: list[str] = field(default_factory=list)
     evaluated: dict[str, Any] = field(default_factory=dict)
 
@@ -57,29 +61,25 @@ class Evaluation:
         """Wilson's 95 % interval of the success rate."""
         return wilson_interval(self.successes, self.episodes)
 
-    @property
-    def feet_on_board(self) -> float:
-        """Mean number of feet on the deck in the last second, 0 to 4; episodes that ended early count 0."""
-        return _mean(self.records.feet)
+    def summary(self, name: str) -> Any:
+        """Return a metric over all episodes as its reducer gives it: a number, or a dict such as median and p95."""
+        (metric,) = self.task.metrics_of([name])
+        values = self.records.metrics[name]
+        return metric.reduce.summarize(values[values.isfinite()])
 
-    @property
-    def slips(self) -> float:
-        """Mean number of slips per episode."""
-        return _mean(self.records.slips)
+    def number(self, name: str) -> float | None:
+        """Return the one number that stands for a metric, such as its mean or median; None without any value."""
+        (metric,) = self.task.metrics_of([name])
+        return metric.reduce.number(self.summary(name))
 
-    @property
-    def energy(self) -> float:
-        """Mean mechanical energy per episode, J; episodes that ended early count their energy until then."""
-        return _mean(self.records.energy)
+    def text(self, name: str) -> str:
+        """Return a metric over all episodes in words, with its unit."""
+        (metric,) = self.task.metrics_of([name])
+        return metric.text(self.summary(name), self.most.get(name))
 
-    def time_to_mount(self, quantile: float) -> float | None:
-        """Return a quantile of the successful episodes' times to mount, s; None if nothing was mounted."""
-        times = self.records.mount_time
-        return _quantile(times[self.records.success & times.isfinite()], quantile)
-
-    def displacement(self, quantile: float) -> float | None:
-        """Return a quantile of the deck's displacement over all episodes, m."""
-        return _quantile(self.records.displacement, quantile)
+    def in_words(self, end: str) -> str:
+        """Return the name of an episode's end in words."""
+        return in_words(end, self.task)
 
     def failures(self) -> dict[str, int]:
         """Return the number of failures by the name of their end, the most frequent first."""
@@ -91,7 +91,11 @@ class Evaluation:
     def by_variant(self) -> dict[str, Evaluation]:
         """Return the results of each variant that has episodes."""
         parts = {name: self.records[self.records.variant == i] for i, name in enumerate(self.variants)}
-        return {name: Evaluation(records, self.end_names) for name, records in parts.items() if len(records)}
+        return {
+            name: Evaluation(records, self.end_names, self.task, self.most)
+            for name, records in parts.items()
+            if len(records)
+        }
 
     def first_success(self) -> int | None:
         """Return the number of the first episode that succeeded, or None if none did."""
@@ -132,29 +136,22 @@ class Evaluation:
         return {
             "episodes": self.episodes,
             "success": {"rate": self.success_rate, "low": low, "high": high},
-            "time_to_mount": {"median": self.time_to_mount(0.5), "p95": self.time_to_mount(0.95)},
-            "feet_on_board": self.feet_on_board,
-            "board_displacement": {"median": self.displacement(0.5), "p95": self.displacement(0.95)},
-            "slips": self.slips,
-            "energy": self.energy,
+            **{metric.name: self.summary(metric.name) for metric in self.task.metrics},
             "failures": self.failures(),
         }
 
     def metrics(self) -> dict[str, float]:
         """Return the results under the names of a training's metrics."""
-        metrics = {
-            "Evaluation/success": self.success_rate,
-            "Evaluation/feet_on_board": self.feet_on_board,
-        }
-        median = self.time_to_mount(0.5)
-        if median is not None:
-            metrics["Evaluation/time_to_mount"] = median
-        return metrics
+        numbers = {metric.name: self.number(metric.name) for metric in self.task.metrics}
+        known = {f"Evaluation/{name}": value for name, value in numbers.items() if value is not None}
+        return {"Evaluation/success": self.success_rate, **known}
 
 
-def _mean(values: Tensor) -> float:
-    return float(values.mean(dtype=torch.float64))
+def in_words(end: str, task: TaskDefinition) -> str:
+    """Return the name of an episode's end in words.
 
-
-def _quantile(values: Tensor, quantile: float) -> float | None:
-    return round(float(values.double().quantile(quantile)), 4) if len(values) else None
+    Args:
+        end: The task's failure at the time limit, or a termination.
+        task: The task.
+    """
+    return {task.failure: task.failure_words, "diverged": "physics failed"}.get(end, end.replace("_", " "))

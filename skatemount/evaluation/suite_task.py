@@ -23,6 +23,7 @@ from skatemount.config.keys import keys
 from skatemount.config.plugins import written
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.config.task import TaskConfig
+from skatemount.envs.tasks import TASKS
 from skatemount.evaluation.evaluator import EVALUATION_SEED, NUM_WORLDS, Evaluator, mix_seeds
 from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.results import Evaluation
@@ -30,6 +31,13 @@ from skatemount.utils.errors import ConfigError
 
 _MACHINE = ("engine", "device", "threads", "max_contacts", "max_constraints")
 """Settings of the physics that are the machine's, not the training's."""
+
+_INSTEAD = {
+    "stage": "suite=<name>",
+    "experiment": "the settings themselves",
+    "task": "suite=<name>, or success=<name> for the criterion and metrics alone,",
+}
+"""What to give in place of choices that an evaluation takes from the suite or from the policy's training."""
 
 
 @dataclass
@@ -71,7 +79,7 @@ class EvaluationTask:
             agent = TrainedPolicy.load(config.checkpoint, config.logger.root)
         else:
             agent = SwitchingAgent.load_pair(config.pipeline, config.switch_distance, config.logger.root)
-        asked = [o for o in overrides if _key(o).partition(".")[0] in keys(TaskConfig)]
+        asked = [o for o in overrides if _key(o).partition(".")[0] in {*keys(TaskConfig), "task"}]
         suites = [config.suite] if config.suite is None else members_of(config.suite)
         return [cls.of(agent, suite, asked, config.seed) for suite in suites]
 
@@ -92,13 +100,15 @@ class EvaluationTask:
             seed: The user's seed.
 
         Raises:
-            ConfigError: There is no such setting.
+            ConfigError: There is no such setting, or variants have different tasks.
         """
         variants = suite.variants if suite is not None and suite.variants else {"": []}
         configs = {
             name: evaluation_config(agent.config, suite, overrides, variant=changes)
             for name, changes in variants.items()
         }
+        if len(tasks := sorted({config.success for config in configs.values()})) > 1:
+            raise ConfigError(f"suite.variants: success is {' and '.join(tasks)}; the variants must have one task")
         name = suite.name if suite is not None else agent.card.stage or "its own task"
         return cls(agent, name, suite, configs, list(overrides), seed)
 
@@ -176,6 +186,8 @@ class EvaluationTask:
         return Evaluation(
             records=records[records.number.argsort()],
             end_names=parts[0].end_names,
+            task=parts[0].task,
+            most=parts[0].most,
             variants=variants if len(variants) > 1 else [],
             evaluated=self.describe() | parts[0].evaluated,
         )
@@ -249,7 +261,8 @@ def evaluation_config(
 
     1. Without a suite they are those of the policy's training. With a suite they are those of the suite's stage, except
        for what belongs to the policy: robot, observation, network, control rate (``physics.timestep`` and
-       ``physics.substeps``), and, in a mounting task, ``command`` if the policy was trained without commands.
+       ``physics.substeps``), and ``command`` if the policy was trained without commands and the task's success does not
+       depend on them.
     2. Engine, device, engine memory, threads and number of worlds are this machine's defaults, not the training's.
     3. The overrides of the suite, the variant and the user come last, one setting at a time: ``start.x=[0,1]`` changes
        that value only, ``board=longboard`` changes the whole group. The user's overrides win.
@@ -264,11 +277,10 @@ def evaluation_config(
         New settings; ``policy`` is not changed.
 
     Raises:
-        ConfigError: A setting is unknown, or an override would replace the policy's stage or experiment.
+        ConfigError: A setting is unknown, or an override would replace the policy's stage, task or experiment.
     """
     for override in overrides:
-        if (key := _key(override)) in ("stage", "experiment"):
-            instead = "suite=<name>" if key == "stage" else "the settings themselves"
+        if (instead := _INSTEAD.get(key := _key(override))) is not None:
             raise ConfigError(f"{override}: a policy has its own {key}; give {instead} instead")
     stage = policy.stage.name if suite is None else suite.stage
     # The policy's stage may not exist in this version.
@@ -281,7 +293,7 @@ def evaluation_config(
     result = copy.deepcopy(policy if suite is None else _stage(stage))
     result.robot, result.observation, result.network = policy.robot, policy.observation, policy.network
     result.physics.timestep, result.physics.substeps = policy.physics.timestep, policy.physics.substeps
-    if policy.command.mode == "zero" and result.success == "mount":
+    if policy.command.mode == "zero" and not TASKS.get(result.success).uses_command:
         result.command = policy.command
     values = configuration.to_dict(result)
     values["physics"] |= {name: asked["physics"][name] for name in _MACHINE}

@@ -23,7 +23,7 @@ class Frame:
         legs: Short names of the legs.
         on_deck: The feet that success counts as on the deck.
         touching: The feet that touch the deck or anything else.
-        mounted: Whether the robot stands on the board, as success defines it.
+        state: The task's word for the state of the robot, such as ``mounted``; empty if it is not in it.
         qpos: ``[nq]`` generalized positions.
         mocap_pos: ``[nmocap, 3]`` m.
         outcome: The end of the episode in words, in its last frame only.
@@ -34,7 +34,7 @@ class Frame:
     legs: Sequence[str]
     on_deck: Sequence[bool]
     touching: Sequence[bool]
-    mounted: bool
+    state: str
     qpos: np.ndarray
     mocap_pos: np.ndarray
     outcome: str = ""
@@ -42,8 +42,8 @@ class Frame:
 
     @property
     def word(self) -> str:
-        """The state of the robot in a word: ``start``, ``mounted`` or nothing."""
-        return "start" if self.time == 0 else "mounted" if self.mounted else ""
+        """The state of the robot in a word: ``start``, the task's word or nothing."""
+        return "start" if self.time == 0 else self.state
 
 
 def draw_overlay(picture: Image.Image, frame: Frame) -> Image.Image:
@@ -110,7 +110,7 @@ def _panel(key: tuple[str, tuple[str, ...], tuple[str, ...], str], size: int) ->
             pill(x, pill_w, leg, (*AIR, 255))
         x += pill_w + gap
     if word:
-        pill(x, word_w, word, DECK if word == "mounted" else GROUND)
+        pill(x, word_w, word, GROUND if word == "start" else DECK)
     return panel.resize((width, height), Image.Resampling.LANCZOS)
 
 
@@ -140,7 +140,7 @@ def choose_frames(frames: Sequence[Frame], count: int = 6) -> list[int]:
     """Choose the frames of a filmstrip.
 
     These are the first and the last frame, and between them frames at equal distances: from the start to half a second
-    after the robot has mounted the board for good, or to the end if it has not.
+    after the robot has come to the task's state for good, or to the end if it has not.
 
     Args:
         frames: The episode.
@@ -151,9 +151,9 @@ def choose_frames(frames: Sequence[Frame], count: int = 6) -> list[int]:
     """
     last = len(frames) - 1
     standing = last
-    while standing > 0 and frames[standing - 1].mounted and frames[last].mounted:
+    while standing > 0 and frames[standing - 1].state and frames[last].state:
         standing -= 1
-    if frames[last].mounted:
+    if frames[last].state:
         settled = frames[standing].time + 0.5
         end = next((i for i, m in enumerate(frames) if m.time >= settled), last)
         chosen = [round(i * end / (count - 2)) for i in range(count - 1)] + [last]

@@ -13,7 +13,7 @@ import torch
 from skatemount.envs import success
 from skatemount.evaluation.evaluator import Evaluator
 from skatemount.evaluation.records import EpisodeRecords
-from skatemount.evaluation.report import in_words
+from skatemount.evaluation.results import in_words
 from skatemount.evaluation.suite_task import EvaluationTask
 from skatemount.rendering.overlay import Frame
 
@@ -75,11 +75,15 @@ class _Tape:
         sim, episode = env.sim, env.episode
         self._poses.append(env.physics.poses(worlds))
         off_deck = success.feet_off_deck_contact(sim)
-        # Success forgives a foot that leaves the deck for a moment, and so does the label: "mounted" means four feet.
+        # Success forgives a foot that leaves the deck for a moment, and so does the label.
         on_deck = (episode.off_time <= success.FLICKER + 1e-3) & ~off_deck
         height = sim.foot_pos[..., 2] - sim.ground_height.unsqueeze(1) - env.mdp.context.foot_radius
         touching = on_deck | off_deck | (height <= NEAR_GROUND)
-        self._contacts.append(torch.cat((on_deck, touching, episode.mounted.unsqueeze(1)), 1)[worlds].cpu().numpy())
+        task = env.mdp.definition
+        state = torch.zeros_like(episode.mounted)
+        if task.in_state is not None:
+            state = task.in_state(sim, episode, env.mdp.context)
+        self._contacts.append(torch.cat((on_deck, touching, state.unsqueeze(1)), 1)[worlds].cpu().numpy())
 
     def frames(self, row: int, duration: float) -> list[Frame]:
         """Return the frames of an episode.
@@ -90,14 +94,14 @@ class _Tape:
         """
         context = self._env.mdp.context
         step, legs = context.control_step, context.layout.legs
-        feet = len(legs)
+        feet, word = len(legs), self._env.mdp.definition.state_word
         return [
             Frame(
                 time=i * step,
                 legs=legs,
                 on_deck=contacts[row, :feet].tolist(),
                 touching=contacts[row, feet : 2 * feet].tolist(),
-                mounted=bool(contacts[row, 2 * feet]),
+                state=word if contacts[row, 2 * feet] else "",
                 qpos=qpos[row],
                 mocap_pos=mocap_pos[row],
             )
@@ -143,7 +147,7 @@ def _first_success(trial: EvaluationTask) -> Episode:
     found: Episode | None = None
     first: Episode | None = None
     played: list[EpisodeRecords] = []
-    ends: list[str] = []
+    ends: list[str] = []  # in words
     for i, variant in enumerate(trial.configs):
         # Variants take turns: the lowest number of variant i is i.
         if found is not None and found.number < i or i >= SEARCHED:
@@ -154,7 +158,7 @@ def _first_success(trial: EvaluationTask) -> Episode:
             tape = _Tape(evaluator, slice(0, count))
             records = trial.numbered(variant, evaluator.round(trial.agent.policy, 0, tape.note)[:count])
             played.append(records)
-            ends = evaluator.end_names
+            ends = [in_words(end, evaluator.env.mdp.definition) for end in evaluator.end_names]
             rows = records.success.nonzero().flatten().tolist()
             for row in rows[:1]:
                 if found is None or int(records.number[row]) < found.number:
@@ -179,7 +183,7 @@ def _failures_before(records: EpisodeRecords, number: int, ends: Sequence[str]) 
         return ""
     causes: dict[str, int] = {}
     for end in records.end[records.number < number].tolist():
-        cause = in_words(ends[end])
+        cause = ends[end]
         causes[cause] = causes.get(cause, 0) + 1
     which = "episode 0" if number == 1 else f"episodes 0 to {number - 1}"
     said = ", ".join(cause if number == 1 else f"{cause} {count}" for cause, count in causes.items())
@@ -197,7 +201,7 @@ def _episode(evaluator: Evaluator, record: EpisodeRecords, frames: list[Frame]) 
     summary = _summary(evaluator, record, frames[-1])
     succeeded = bool(record.success)
     frames[-1].succeeded = succeeded
-    frames[-1].outcome = "success" if succeeded else f"failed: {in_words(evaluator.end_names[int(record.end)])}"
+    frames[-1].outcome = "success" if succeeded else f"failed: {_end(evaluator, record)}"
     return Episode(
         number=int(record.number),
         frames=frames,
@@ -237,13 +241,18 @@ def _heading(model: mujoco.MjModel, frame: Frame, body: int) -> float:
     return math.degrees(math.atan2(data.xmat[body][3], data.xmat[body][0]))
 
 
+def _end(evaluator: Evaluator, record: EpisodeRecords) -> str:
+    """Return the end of a failed episode in words."""
+    return in_words(evaluator.end_names[int(record.end)], evaluator.env.mdp.definition)
+
+
 def _summary(evaluator: Evaluator, record: EpisodeRecords, last: Frame) -> str:
-    """Return the result of an episode in words."""
-    if record.success:
-        time = float(record.mount_time)
-        return "succeeded" + (f", mounted {time:.2f} s after the first foot touched the board" if time >= 0 else "")
-    end = in_words(evaluator.end_names[int(record.end)])
+    """Return the result of an episode in words, with the task's main metrics if it lasted until the time limit."""
     if record.end:
-        return f"failed, ended after {last.time:.2f} s by {end}"
-    feet = f", {sum(last.on_deck)} feet on the board" if evaluator.config.success == "mount" else ""
-    return f"failed, {end}{feet}"
+        return f"failed, ended after {last.time:.2f} s by {_end(evaluator, record)}"
+    mdp = evaluator.env.mdp
+    most = mdp.definition.most(mdp.context.layout)
+    metrics = mdp.definition.metrics_of(mdp.definition.overview)
+    values = {metric: float(record.metrics[metric.name]) for metric in metrics}
+    said = [f"{m.label} {m.short(value, most.get(m.name))}" for m, value in values.items() if math.isfinite(value)]
+    return ", ".join(["succeeded" if record.success else f"failed, {_end(evaluator, record)}", *said])

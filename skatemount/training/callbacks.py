@@ -153,7 +153,9 @@ class PlotCallback(Callback):
         """Draw the learning curves, if metrics are written to a file, and the curriculum, if there is one."""
         run = trainer.run
         if trainer.config.logger.jsonl:
-            plot_learning_curves(run.metrics_file, run.curves_png, title=run.path.name)
+            mdp = trainer.env.mdp
+            shown = mdp.definition.metrics_of(mdp.definition.progress)
+            plot_learning_curves(run.metrics_file, run.curves_png, run.path.name, shown, mdp.context.layout)
         if trainer.curriculum is not None:
             trainer.curriculum.draw(run.curriculum_png, f"{run.path.name}, {format_count(trainer.frames)} steps")
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from skatemount.envs.robots.layout import JointLayout
+from skatemount.envs.tasks import Metric
 from skatemount.runs import atomic
 from skatemount.runs.metrics import STEP, read_metrics
 from skatemount.utils.errors import ConfigError
@@ -18,8 +21,10 @@ if TYPE_CHECKING:
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
 TRAINING, EVALUATION, SECOND = "#1f77b4", "#d62728", "#2ca02c"
 
-# Title, (metric, color, label) of each line, limits of the y axis.
-_PANELS = (
+Panel = tuple[str, tuple[tuple[str, str, str], ...], tuple[float, float] | None]
+"""Title, (metric, color, label) of each line, limits of the y axis."""
+
+_FIRST: tuple[Panel, ...] = (
     (
         "success rate",
         (("Success/rate", TRAINING, "training"), ("Evaluation/success", EVALUATION, "evaluated")),
@@ -27,20 +32,30 @@ _PANELS = (
     ),
     ("mean reward of an episode", (("Train/mean_reward", TRAINING, ""),), None),
     ("episode length (control steps)", (("Train/mean_episode_length", TRAINING, ""),), None),
-    (
-        "feet on the board",
-        (
-            ("Success/feet_on_board", TRAINING, "training"),
-            ("Evaluation/feet_on_board", EVALUATION, "evaluated"),
-        ),
-        (-0.1, 4.1),
-    ),
+)
+_LAST: tuple[Panel, ...] = (
     ("KL divergence and learning rate", (("Loss/kl", TRAINING, "KL"),), None),
     ("environment steps per second", (("Perf/total_fps", TRAINING, ""),), None),
 )
 
 
-def plot_learning_curves(metrics_path: Path, png_path: Path, title: str = "") -> None:
+def _panel_of(metric: Metric, layout: JointLayout | None) -> Panel:
+    """Return the panel of a task's metric, with limits if the robot's layout says how large it can get."""
+    names = ((f"Success/{metric.name}", TRAINING, "training"), (f"Evaluation/{metric.name}", EVALUATION, "evaluated"))
+    title = metric.label + (f" ({metric.unit})" if metric.unit else "")
+    if metric.most is None or layout is None:
+        return title, names, None
+    most = metric.most(layout)
+    return title, names, (-0.025 * most, 1.025 * most)
+
+
+def plot_learning_curves(
+    metrics_path: Path,
+    png_path: Path,
+    title: str = "",
+    metrics: Sequence[Metric] = (),
+    layout: JointLayout | None = None,
+) -> None:
     """Draw the learning curves of a run.
 
     The x axis is environment steps; the upper one, on the first row, is time if the metrics have it. Thin lines are the
@@ -50,6 +65,8 @@ def plot_learning_curves(metrics_path: Path, png_path: Path, title: str = "") ->
         metrics_path: The run's metrics, see `read_metrics`.
         png_path: The picture, replaced in one step.
         title: The picture's title.
+        metrics: The task's metrics that get a panel each.
+        layout: The robot's layout, for the limits of these panels.
 
     Raises:
         ConfigError: The file is missing, holds something else, or has no rows yet.
@@ -63,13 +80,18 @@ def plot_learning_curves(metrics_path: Path, png_path: Path, title: str = "") ->
     frames = table[STEP]
     if not len(frames):
         raise ConfigError(f"{metrics_path}: has no rows to plot yet")
-    figure = Figure(figsize=(12, 6.4), dpi=110, layout="constrained")
+    panels = [*_FIRST, *(_panel_of(metric, layout) for metric in metrics), *_LAST]
+    columns = math.ceil(len(panels) / 2)
+    figure = Figure(figsize=(4 * columns, 6.4), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     if title:
         figure.suptitle(title, fontsize=13, parse_math=False)
-    axes = figure.subplots(2, 3, sharex=True)
+    axes = figure.subplots(2, columns, sharex=True)
     span = max(float(frames.max()), 1.0)
-    for axis, (name, lines, limits) in zip(axes.flat, _PANELS, strict=True):
+    used = list(axes.flat)[: len(panels)]
+    for axis in list(axes.flat)[len(panels) :]:
+        axis.set_visible(False)
+    for axis, (name, lines, limits) in zip(used, panels, strict=True):
         drawn = [_draw(axis, frames, table.get(key), color, text) for key, color, text in lines]
         axis.set_title(name, fontsize=10)
         axis.grid(alpha=0.25)
@@ -85,9 +107,10 @@ def plot_learning_curves(metrics_path: Path, png_path: Path, title: str = "") ->
             axis.legend(fontsize=8, loc="best", framealpha=0.6)
     for axis in axes[1]:
         axis.set_xlabel("environment steps", fontsize=9)
-    axes[1, 2].yaxis.set_major_formatter(EngFormatter(sep=""))
-    axes[1, 2].set_ylim(bottom=0)
-    _draw_learning_rate(axes[1, 1], frames, table.get("Loss/learning_rate"))
+    divergence, speed = used[-2:]
+    speed.yaxis.set_major_formatter(EngFormatter(sep=""))
+    speed.set_ylim(bottom=0)
+    _draw_learning_rate(divergence, frames, table.get("Loss/learning_rate"))
     if "Perf/elapsed_s" in table:
         for axis in axes[0]:
             _add_time_axis(axis, frames, table["Perf/elapsed_s"])

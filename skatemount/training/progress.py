@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 
 from rich.console import Console
 from rich.live import Live
@@ -11,6 +12,7 @@ from rich.markup import escape
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
+from skatemount.envs.tasks import Metric
 from skatemount.utils.formatting import format_count, format_duration
 
 
@@ -24,6 +26,7 @@ class Progress:
         every_s: float = 5.0,
         initial_frames: int = 0,
         console: Console | None = None,
+        metrics: Sequence[Metric] = (),
     ) -> None:
         """Prepare the display; it shows nothing before the first report.
 
@@ -33,6 +36,7 @@ class Progress:
             every_s: Least time between two plain lines, in seconds.
             initial_frames: Environment steps already trained when a run resumes, for the time left.
             console: Output; standard output if not given.
+            metrics: The task's metrics to show, from ``Success/<name>``.
         """
         self._total = total_frames
         self._title = title
@@ -40,6 +44,7 @@ class Progress:
         self._initial = initial_frames
         self._console = console or Console()
         self._started = time.monotonic()
+        self._task_metrics = metrics
         self._metrics: dict[str, float] = {}
         self._frames = initial_frames
         self._evaluated: int | None = None
@@ -150,7 +155,7 @@ class Progress:
             "length": (get("Train/mean_episode_length"), "{:.0f}".format),
             "success": (get("Success/rate"), "{:.2f}".format),
             "evaluated": (get("Evaluation/success"), "{:.2f}".format),
-            "feet": (get("Success/feet_on_board"), "{:.2f}".format),
+            **{each.label: (get(f"Success/{each.name}"), each.short) for each in self._task_metrics},
             "kl": (get("Loss/kl"), "{:.4f}".format),
             "lr": (get("Loss/learning_rate"), "{:.1e}".format),
             "std": (get("Policy/mean_std"), "{:.2f}".format),

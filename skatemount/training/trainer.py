@@ -172,7 +172,9 @@ class Trainer:
             else:
                 self.run = parent.create_part(name, values, overrides or [])
             self._held.enter_context(self.run.lock())
-        self.display = Progress(config.total_frames, config.stage.name, config.logger.progress_every, self.frames)
+        shown = mdp.definition.metrics_of(mdp.definition.progress)
+        every = config.logger.progress_every
+        self.display = Progress(config.total_frames, config.stage.name, every, self.frames, metrics=shown)
 
     def _initialize(self) -> str | None:
         """Load the policy that the settings name, if any, and return its name."""
@@ -390,12 +392,10 @@ class Trainer:
         """Write a checkpoint.
 
         Args:
-            metrics: Metrics of the last iteration; ``Evaluation/success`` and ``Evaluation/feet_on_board`` decide which
-                checkpoint is the best.
+            metrics: Metrics of the last iteration; the task's score of an evaluation decides which checkpoint is the
+                best.
         """
-        score = None
-        if "Evaluation/success" in metrics:
-            score = metrics["Evaluation/success"] + 0.01 * metrics["Evaluation/feet_on_board"]
+        score = self.env.mdp.definition.score_of(metrics)
         card = make_policy_card(self.config, self.task, self.frames, metrics)
         state = save_parts(self.parts)
         state["progress"]["device"] = self.env.physics.device.type

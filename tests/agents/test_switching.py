@@ -89,7 +89,7 @@ def test_a_pipeline_is_evaluated_as_one_policy(folder: Path, first: str, second:
         return made
 
     def energy(tried: EvaluationTask) -> list[float]:
-        return tried.evaluate(4).records.energy.tolist()
+        return tried.evaluate(4).records.metrics["energy"].tolist()
 
     # Without noise, whose random numbers depend on the size of the observation, the robots do the same.
     alone = [

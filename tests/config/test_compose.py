@@ -166,7 +166,6 @@ def test_mistakes_are_one_line_that_names_the_setting(
         ("episode_length", 0, ["episode_length=0", "above 0"]),
         ("episode_length", math.nan, ["episode_length=nan", "above 0"]),
         ("episode_length", math.inf, ["episode_length=inf", "above 0"]),
-        ("success", "win", ["success=win", "mount, gait"]),
         ("precision", "low", ["precision=low", "highest, medium, bf16"]),
         ("start.x", [0.3, -0.3], ["start.x=[0.3, -0.3]", "low <= high"]),
         ("start.board_fixed", 2.0, ["start.board_fixed=2.0", "between 0 and 1"]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,15 +13,17 @@ import torch
 from skatemount.envs.episode_statistics import EpisodeStatistics
 from skatemount.envs.mdp import StepResult
 from skatemount.envs.state import EpisodeState
+from skatemount.envs.tasks import TASKS, Metric, TaskDefinition, TrainingValue
+from skatemount.utils.errors import ConfigError
 
 STEP = 0.1
 
 
-def statistics(worlds: int, criterion: str = "mount") -> EpisodeStatistics:
+def statistics(worlds: int, task: str | TaskDefinition = "mount") -> EpisodeStatistics:
     """Statistics of a task with two rewards, one termination and episodes of 10 steps of 0.1 s."""
     mdp: Any = SimpleNamespace(
         context=SimpleNamespace(control_step=STEP, episode_steps=10),
-        criterion=criterion,
+        definition=TASKS.get(task) if isinstance(task, str) else task,
         rewards=SimpleNamespace(names=["alive", "effort"]),
         termination_names=lambda: ["tilt"],
         device=torch.device("cpu"),
@@ -99,11 +102,50 @@ def test_excluded_episodes_do_not_count_and_their_successors_do() -> None:
     assert found.pop()["Train/mean_reward"] == 2.0
 
 
-def test_time_to_mount_is_for_mounting_only() -> None:
-    for criterion, expected in (("mount", True), ("gait", False)):
-        found = statistics(1, criterion)
+def measuring(worlds: int, function: Callable[..., torch.Tensor], over: str = "end") -> EpisodeStatistics:
+    """Statistics of a task with one value."""
+    metric = Metric("height", "height", "height", function, training=TrainingValue(function, over))
+    return statistics(worlds, TaskDefinition("made_up", "made up", function, "failed", "failed", (metric,)))
+
+
+def test_values_are_those_of_the_task() -> None:
+    values = {"mount": {"time_to_mount", "feet_on_board"}, "gait": {"velocity_error", "turn_error"}}
+    for task, names in values.items():
+        found = statistics(1, task)
         add(found, 10, [[1.0], [0.0]], truncated=[True], succeeded=[True])
         metrics = found.pop()
-        assert ("Success/time_to_mount" in metrics) == expected
-        if expected:
+        assert {name for name in metrics if name.startswith("Success/")} == {
+            "Success/rate",
+            *(f"Success/{name}" for name in names),
+        }
+        if task == "mount":
             assert metrics["Success/time_to_mount"] == pytest.approx(10 * STEP - 0.1 - 0.2)
+
+
+@pytest.mark.parametrize(("over", "expected"), [("steps", (1.5 + 1.5) / 2), ("end", 2.0), ("success", 2.0)])
+def test_a_value_is_taken_over_the_steps_or_at_the_end(over: str, expected: float) -> None:
+    found = measuring(3, lambda episode, context: episode.step.float(), over)
+    add(found, 1, [[0.0] * 3] * 2)
+    # The second world fails, the third goes on.
+    ends = dict(truncated=[True, False, False], succeeded=[True, False, False], terminated=[False, True, False])
+    add(found, 2, [[0.0] * 3] * 2, **ends)
+    assert found.pop()["Success/height"] == expected
+
+
+def test_without_a_success_there_is_no_value_of_successes() -> None:
+    found = statistics(1)
+    add(found, 1, [[0.0], [0.0]], terminated=[True])
+    metrics = found.pop()
+    assert "Success/time_to_mount" not in metrics and "Success/feet_on_board" in metrics
+
+
+def test_a_value_that_is_not_finite_does_not_spoil_the_mean() -> None:
+    found = measuring(2, lambda episode, context: torch.tensor([torch.nan, 4.0]))
+    add(found, 1, [[0.0] * 2] * 2, terminated=[True, True])
+    assert found.pop()["Success/height"] == 2.0
+
+
+def test_a_value_of_the_wrong_shape_is_named() -> None:
+    found = measuring(2, lambda episode, context: torch.zeros(2, 1))
+    with pytest.raises(ConfigError, match=r"^metric 'height': training returned float32 of shape \[2, 1\]; .*\[2\]$"):
+        add(found, 1, [[0.0] * 2] * 2)

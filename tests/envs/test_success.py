@@ -16,12 +16,11 @@ from skatemount.envs.success import (
     body_contacts,
     feet_off_deck_contact,
     feet_on_deck,
-    followed,
     is_mounted,
     nearly_mounted,
-    stood,
-    time_to_mount,
 )
+from skatemount.envs.tasks.gait import followed
+from skatemount.envs.tasks.mount import stood, time_to_mount
 
 STEP = 0.04
 NEVER_OFF = torch.zeros(1, 4)
@@ -208,7 +207,7 @@ def test_it_must_stand_throughout_the_last_second(sim: SimState, airborne: SimSt
     course.go(airborne, fall)
     course.go(sim, 50 - fall)
     assert bool(course.outcome.truncated)
-    assert bool(stood(course.episode, STEP)) == succeeds == bool(course.outcome.succeeded)
+    assert bool(stood(sim, course.episode, course.mdp.context)) == succeeds == bool(course.outcome.succeeded)
 
 
 def test_it_must_still_stand_at_the_end(sim: SimState, airborne: SimState) -> None:
@@ -230,7 +229,7 @@ def test_exactly_one_second_is_enough_at_any_control_rate(sim: SimState, airborn
 def test_success_is_for_episodes_that_reach_their_time_limit(sim: SimState) -> None:
     course = Course(sim, "episode_length=2.0")
     course.go(sim, 49)
-    assert bool(stood(course.episode, STEP)) and not course.outcome.succeeded
+    assert bool(stood(sim, course.episode, course.mdp.context)) and not course.outcome.succeeded
     limit = ("termination.tilt.enabled=true", "termination.tilt.params.degrees=5.0")
     ended_early = Course(sim, "episode_length=2.0", *limit)
     tilted = sim.clone()
@@ -253,14 +252,14 @@ def test_the_time_to_mount_runs_from_the_first_contact_to_the_last_stretch(
     course.go(sim, 30)  # mounted from step 31 on
     assert float(course.episode.first_contact) == pytest.approx(11 * STEP)
     # The stretch that holds begins where step 31 does, and the contact at the end of step 11.
-    assert float(time_to_mount(course.episode, STEP)) == pytest.approx((30 - 11) * STEP, abs=1e-4)
+    assert float(time_to_mount(course.episode, course.mdp.context)) == pytest.approx((30 - 11) * STEP, abs=1e-4)
 
 
 def test_standing_there_from_the_start_takes_no_time(sim: SimState) -> None:
     course = Course(sim)
     assert float(course.episode.first_contact) == 0.0
     course.go(sim, 50)
-    assert float(time_to_mount(course.episode, STEP)) == pytest.approx(0.0, abs=1e-4)
+    assert float(time_to_mount(course.episode, course.mdp.context)) == pytest.approx(0.0, abs=1e-4)
 
 
 def gait(make_velocity: Callable[[int], tuple[float, float]], sim: SimState, steps: int = 50) -> tuple[Course, bool]:
@@ -282,7 +281,7 @@ def gait(make_velocity: Callable[[int], tuple[float, float]], sim: SimState, ste
 )
 def test_a_gait_follows_its_command(sim: SimState, velocity: float, turn: float, succeeds: bool) -> None:
     course, succeeded = gait(lambda step: (velocity, turn), sim)
-    assert bool(followed(course.episode, STEP)) == succeeds == succeeded
+    assert bool(followed(sim, course.episode, course.mdp.context)) == succeeds == succeeded
 
 
 def test_errors_of_a_gait_are_averaged_over_the_episode(sim: SimState) -> None:
@@ -295,7 +294,7 @@ def test_errors_of_a_gait_are_averaged_over_the_episode(sim: SimState) -> None:
 
 def test_a_gait_that_ends_early_is_no_success(sim: SimState) -> None:
     course, succeeded = gait(lambda step: (0.0, 0.0), sim, steps=49)
-    assert bool(followed(course.episode, STEP)) and not succeeded
+    assert bool(followed(sim, course.episode, course.mdp.context)) and not succeeded
 
 
 def test_nearly_mounted_counts_feet_over_the_deck_and_close_to_it(sim: SimState, airborne: SimState) -> None:

@@ -20,18 +20,21 @@ def _records(n: int, **values: Any) -> EpisodeRecords:
         success=torch.zeros(n, dtype=torch.bool),
         end=torch.zeros(n, dtype=torch.int64),
         duration=torch.full((n,), 5.0),
-        mount_time=torch.full((n,), torch.nan),
-        feet=torch.zeros(n),
-        displacement=torch.zeros(n),
+    )
+    metrics = dict(
+        time_to_mount=torch.full((n,), torch.nan),
+        feet_on_board=torch.zeros(n),
+        board_displacement=torch.zeros(n),
         slips=torch.zeros(n, dtype=torch.int64),
         energy=torch.zeros(n),
     )
     for name, value in values.items():
-        fields[name] = torch.as_tensor(value).to(fields[name].dtype)
-    return EpisodeRecords(**fields)
+        columns = metrics if name in metrics else fields
+        columns[name] = torch.as_tensor(value).to(columns[name].dtype)
+    return EpisodeRecords(**fields, metrics=metrics)
 
 
 @pytest.fixture
 def make_records() -> Callable[..., EpisodeRecords]:
-    """Return `make_records(n, **fields)`: failed episodes, not mounted at the time limit, with the given fields."""
+    """Return `make_records(n, **fields)`: failed episodes of the task `mount`, with the given fields and metrics."""
     return _records

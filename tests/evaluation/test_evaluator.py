@@ -63,13 +63,15 @@ def test_verdicts_are_the_environments(mixed: tuple[TrainConfig, ActorCritic]) -
     result = evaluate(networks, config, 40, worlds=40, seed=3)
     assert 0 < sum(expected) < 40  # both verdicts occur
     assert result.successes == sum(expected)
-    assert int(result.records.mount_time.isfinite().sum()) == result.successes
+    assert int(result.records.metrics["time_to_mount"].isfinite().sum()) == result.successes
     # What happened until then, by the same environment's own account.
     early = 1 - result.failures().get("not_mounted", 0) / 40 - result.success_rate
     assert 0 < early < 1
     assert set(result.failures()) <= {"not_mounted", "tilt", "trunk_contact", "board_tilt"}
     assert sum(result.failures().values()) == 40 - result.successes == len(result.failed_episodes())
-    assert ((result.records.end == 0) | (result.records.feet == 0)).all()  # ended early: no feet at all
+    assert (
+        (result.records.end == 0) | (result.records.metrics["feet_on_board"] == 0)
+    ).all()  # ended early: no feet at all
     assert ((result.records.end == 0) == (result.records.duration == 2.0)).all()
 
 
@@ -127,11 +129,11 @@ def test_standing_on_the_deck_succeeds_and_standing_beside_it_does_not() -> None
         results.append(evaluate(make_networks(config), config, 4, worlds=4))
     on, beside = results
     assert (on.success_rate, on.failures()) == (1.0, {})
-    assert on.feet_on_board == pytest.approx(4.0, abs=0.1)
+    assert on.summary("feet_on_board") == pytest.approx(4.0, abs=0.1)
     assert 0 <= on.to_dict()["time_to_mount"]["median"] < 0.6
     assert on.displacement(0.95) == pytest.approx(0.0, abs=1e-3)
     assert 0 < on.energy < 100
-    assert (beside.success_rate, beside.feet_on_board) == (0.0, 0.0)
+    assert (beside.success_rate, beside.summary("feet_on_board")) == (0.0, 0.0)
     assert beside.to_dict()["time_to_mount"] == {"median": None, "p95": None}
     assert beside.failures() == {"not_mounted": 4}  # it stood, but not on the board
     start = beside.failed_episodes()[0]["start"]

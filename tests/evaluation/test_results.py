@@ -8,17 +8,21 @@ from collections.abc import Callable
 import pytest
 import torch
 
+from skatemount.envs.tasks import TASKS
 from skatemount.evaluation import report
 from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.results import Evaluation
 
+MOUNT = TASKS.get("mount")
 ENDS = ["not_mounted", "trunk_contact", "tilt"]
 Make = Callable[..., EpisodeRecords]
 
 
 def test_results_as_json_and_as_a_table(make_records: Make) -> None:
-    records = make_records(20, end=[2] * 5 + [0] * 15, feet=[1.5] * 20, slips=[0, 3] * 10, energy=range(20))
-    result = Evaluation(records, ENDS, evaluated={"checkpoint": "a/b", "suite": "far", "definition": {"version": 3}})
+    records = make_records(20, end=[2] * 5 + [0] * 15, feet_on_board=[1.5] * 20, slips=[0, 3] * 10, energy=range(20))
+    result = Evaluation(
+        records, ENDS, MOUNT, evaluated={"checkpoint": "a/b", "suite": "far", "definition": {"version": 3}}
+    )
     document = json.loads(json.dumps(result.to_dict(), allow_nan=False))
     assert document["episodes"] == 20
     assert document["success"] == pytest.approx({"rate": 0, "low": 0, "high": 0.1611}, abs=5e-5)
@@ -40,8 +44,10 @@ def test_results_as_json_and_as_a_table(make_records: Make) -> None:
 
 def test_quantiles(make_records: Make) -> None:
     times = [*range(1, 102), *[torch.nan] * 99]
-    records = make_records(200, success=[1] * 101 + [0] * 99, mount_time=times, displacement=[0.0] * 150 + [1.0] * 50)
-    result = Evaluation(records, ENDS)
+    records = make_records(
+        200, success=[1] * 101 + [0] * 99, time_to_mount=times, board_displacement=[0.0] * 150 + [1.0] * 50
+    )
+    result = Evaluation(records, ENDS, MOUNT)
     assert result.to_dict()["time_to_mount"] == {"median": 51.0, "p95": 96.0}
     assert result.to_dict()["board_displacement"] == {"median": 0.0, "p95": 1.0}
     assert result.metrics()["Evaluation/time_to_mount"] == 51.0
@@ -56,7 +62,7 @@ def test_failed_episodes_are_listed_with_their_starts(make_records: Make) -> Non
         duration=[5, 1.24, 5, 5],
         variant=[0, 1, 0, 1],
     )
-    result = Evaluation(records, ENDS, variants=["usual", "odd"])
+    result = Evaluation(records, ENDS, MOUNT, variants=["usual", "odd"])
     first, second = result.failed_episodes()
     assert first == {
         "episode": 1,
@@ -74,15 +80,15 @@ def test_failed_episodes_are_listed_with_their_starts(make_records: Make) -> Non
 
 
 def test_no_failures_are_no_list(make_records: Make) -> None:
-    result = Evaluation(make_records(3, success=[1, 1, 1]), ENDS)
+    result = Evaluation(make_records(3, success=[1, 1, 1]), ENDS, MOUNT)
     assert report.failed_episodes(result) == ""
-    assert Evaluation(make_records(3), ENDS).first_success() is None
+    assert Evaluation(make_records(3), ENDS, MOUNT).first_success() is None
     assert (result.failures(), report.failures(result)) == ({}, "none")
 
 
 def test_variants_get_a_row_each_and_the_total_counts_all(make_records: Make) -> None:
     records = make_records(6, variant=[0, 1, 0, 1, 0, 1], success=[1, 0, 1, 0, 1, 1], end=[0, 2, 0, 0, 0, 0])
-    result = Evaluation(records, ENDS, variants=["usual", "odd", "never run"])
+    result = Evaluation(records, ENDS, MOUNT, variants=["usual", "odd", "never run"])
     document = result.to_dict()
     assert {name: part["success"]["rate"] for name, part in document["variants"].items()} == {
         "usual": 1.0,

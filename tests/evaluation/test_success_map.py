@@ -11,6 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
+from skatemount.envs.tasks import TASKS
 from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.results import Evaluation
 from skatemount.evaluation.success_map import plot_success_map, rates_by_place
@@ -43,7 +44,7 @@ def test_draws_it(make_records: Callable[..., EpisodeRecords], tmp_path: Path, s
     start = spread * (2 * torch.rand(300, 3, generator=torch.Generator().manual_seed(0)) - 1)
     records = make_records(300, start=start, success=torch.arange(300) < successes)
     path = tmp_path / "a.png"
-    plot_success_map(Evaluation(records, ["not_mounted"]), [defaults.board()], path)
+    plot_success_map(Evaluation(records, ["not_mounted"], TASKS.get("mount")), [defaults.board()], path)
     with Image.open(path) as picture:
         pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)
     red = (np.abs(pixels.astype(int) - (214, 39, 40)) < 30).all(1).sum()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config.versions import FORMAT, upgrade
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.physics.base import StartState
+from skatemount.envs.tasks import TASKS
 from skatemount.evaluation.suite_task import EvaluationTask, evaluation_config, load_suite
 from skatemount.losses.ppo import PPO
 from skatemount.training.trainer import make_networks
@@ -46,9 +48,22 @@ def compiled_model(line: str) -> mujoco.MjModel:
 
 
 def episodes(suite: str, count: int) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Return the records of a suite's first episodes with `pretrained:best`, and the names of their ends."""
-    result = EvaluationTask.of(TrainedPolicy.load("pretrained:best"), load_suite(suite)).evaluate(count)
-    return {name: value.numpy() for name, value in vars(result.records).items()}, result.end_names
+    """Return the records of a suite's first episodes with `pretrained:best`, and the names of their ends.
+
+    The old version measured the metrics of the task `mount` in every task.
+    """
+    saved = TASKS.snapshot()
+    metrics = TASKS.get("mount").metrics
+    tasks = [replace(TASKS.get(n), metrics=metrics, score={}, overview=(), progress=()) for n in TASKS.names()]
+    TASKS.restore(({task.name: task for task in tasks}, saved[1]))
+    try:
+        result = EvaluationTask.of(TrainedPolicy.load("pretrained:best"), load_suite(suite)).evaluate(count)
+    finally:
+        TASKS.restore(saved)
+    renamed = {"time_to_mount": "mount_time", "feet_on_board": "feet", "board_displacement": "displacement"}
+    columns = vars(result.records) | result.records.metrics
+    del columns["metrics"]
+    return {renamed.get(name, name): value.numpy() for name, value in columns.items()}, result.end_names
 
 
 def policy_size(spec: str) -> int:

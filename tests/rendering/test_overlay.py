@@ -16,8 +16,9 @@ def moment(
     def flags(text: str) -> list[bool]:
         return [c == "1" for c in text]
 
+    state = "mounted" if mounted else ""
     return Frame(
-        time, defaults.LAYOUT.legs, flags(deck), flags(touching), mounted, np.zeros(0), np.zeros((0, 3)), **outcome
+        time, defaults.LAYOUT.legs, flags(deck), flags(touching), state, np.zeros(0), np.zeros((0, 3)), **outcome
     )
 
 

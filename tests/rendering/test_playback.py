@@ -31,7 +31,7 @@ def mounting() -> Episode:
 def test_a_mounting_is_filmed(mounting: Episode) -> None:
     assert bool(mounting.record.success)
     assert mounting.choice.startswith("the first success")
-    assert mounting.summary.startswith("succeeded, mounted ")
+    assert mounting.summary.startswith("succeeded, time to mount ")
     last = mounting.frames[-1]
     assert (last.outcome, last.succeeded, last.word) == ("success", True, "mounted")
     assert not any(frame.outcome for frame in mounting.frames[:-1])
@@ -41,7 +41,7 @@ def test_mounted_means_four_feet(mounting: Episode) -> None:
     words = {frame.word for frame in mounting.frames}
     assert words == {"start", "", "mounted"}
     for frame in mounting.frames:
-        assert not frame.mounted or all(frame.on_deck)
+        assert not frame.state or all(frame.on_deck)
         assert all(touch for deck, touch in zip(frame.on_deck, frame.touching, strict=True) if deck)
 
 

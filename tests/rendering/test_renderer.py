@@ -43,7 +43,7 @@ def painter(scene: Scene, model: mujoco.MjModel) -> Iterator[EpisodeRenderer]:
 def frame(model: mujoco.MjModel, on_deck: bool = False) -> Frame:
     """The robot beside the board, as the model has it."""
     return Frame(
-        1.0, defaults.LAYOUT.legs, [on_deck] * 4, [True] * 4, False, model.qpos0.copy(), np.zeros((model.nmocap, 3))
+        1.0, defaults.LAYOUT.legs, [on_deck] * 4, [True] * 4, "", model.qpos0.copy(), np.zeros((model.nmocap, 3))
     )
 
 

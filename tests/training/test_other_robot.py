@@ -74,7 +74,7 @@ def test_it_is_trained_saved_evaluated_and_filmed(policy: Path) -> None:
     (task,) = EvaluationTask.prepare(compose_program("evaluate", asked), asked)
     result = task.evaluate(4)
     assert result.episodes == 4
-    assert 0 <= result.feet_on_board <= 4
+    assert 0 <= result.summary("feet_on_board") <= 4
     frame = replay_episode(task, 0).frames[-1]
     assert tuple(frame.legs) == ("lf", "rf", "lh", "rh")
     assert draw_overlay(Image.new("RGB", (320, 180)), frame).size == (320, 180)

@@ -18,7 +18,6 @@ from skatemount.envs.config.starts import StartConfig
 from skatemount.envs.config.terms import ObservationTerm, RewardTerm, TerminationTerm
 from skatemount.utils.errors import ConfigError
 
-CRITERIA = ("mount", "gait")
 HOLD = 1.0
 """Time that the robot must have been mounted at the end of an episode, s."""
 
@@ -87,7 +86,8 @@ class TaskConfig:
 
     Attributes:
         episode_length: Time limit of an episode, s.
-        success: Success criterion: ``mount`` (be mounted at the end of the episode) or ``gait`` (follow the command).
+        success: Name of the task (`skatemount.envs.tasks`): its success criterion, metrics and score. ``task=<name>``
+            sets it together with the start states, commands and terms that belong to it.
         robot: Settings of the robot.
         board: Settings of the skateboard.
         physics: Settings of time stepping, solver and engine.
@@ -121,8 +121,6 @@ class TaskConfig:
         """Raise `ConfigError` for the first setting that cannot be used."""
         if not 0 < self.episode_length < math.inf:
             raise ConfigError(f"episode_length={self.episode_length} must be above 0 s and finite")
-        if self.success not in CRITERIA:
-            raise ConfigError(f"success={self.success} must be one of {', '.join(CRITERIA)}")
         for name, term in self.observation.privileged.items():
             if term.history_length not in (None, 1):
                 raise ConfigError(
@@ -133,12 +131,14 @@ class TaskConfig:
             getattr(self, part).validate(part)
 
     def validate_terms(self) -> None:
-        """Raise `ConfigError` for an unknown term or parameter in one of the tables."""
+        """Raise `ConfigError` for an unknown task, or an unknown term or parameter in one of the tables."""
         # Imported here because the terms need torch, which takes seconds to import.
         from skatemount.envs.observations import OBSERVATIONS
         from skatemount.envs.rewards import REWARDS
+        from skatemount.envs.tasks import TASKS
         from skatemount.envs.terminations import TERMINATIONS
 
+        TASKS.get(self.success)
         tables = (
             (REWARDS, "reward", self.reward),
             (TERMINATIONS, "termination", self.termination),

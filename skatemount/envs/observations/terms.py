@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs import success
+from skatemount.envs.config.task import HOLD
 from skatemount.envs.geometry import rotate_inverse
 from skatemount.envs.observations.table import observation
 from skatemount.envs.robots.layout import JointLayout
@@ -279,4 +280,4 @@ def heights(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tenso
 @observation(1, "scalars")
 def mounted_time(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Return the time that the robot has been mounted without a break, at most 1 s, ``[N, 1]`` s."""
-    return episode.mounted_time.clamp(max=success.HOLD).unsqueeze(-1)
+    return episode.mounted_time.clamp(max=HOLD).unsqueeze(-1)
