@@ -36,7 +36,7 @@ class Progress:
             every_s: Least time between two plain lines, in seconds.
             initial_frames: Environment steps already trained when a run resumes, for the time left.
             console: Output; standard output if not given.
-            metrics: The task's metrics to show, from ``Success/<name>``.
+            metrics: The task's metrics to show: ``Success/<name>``, or the last ``Evaluation/<name>`` without it.
         """
         self._total = total_frames
         self._title = title
@@ -155,7 +155,7 @@ class Progress:
             "length": (get("Train/mean_episode_length"), "{:.0f}".format),
             "success": (get("Success/rate"), "{:.2f}".format),
             "evaluated": (get("Evaluation/success"), "{:.2f}".format),
-            **{each.label: (get(f"Success/{each.name}"), each.short) for each in self._task_metrics},
+            **{each.label: (get(f"Success/{each.name}", get(f"Evaluation/{each.name}")), each.short) for each in self._task_metrics},
             "kl": (get("Loss/kl"), "{:.4f}".format),
             "lr": (get("Loss/learning_rate"), "{:.1e}".format),
             "std": (get("Policy/mean_std"), "{:.2f}".format),
