@@ -155,7 +155,10 @@ class Progress:
             "length": (get("Train/mean_episode_length"), "{:.0f}".format),
             "success": (get("Success/rate"), "{:.2f}".format),
             "evaluated": (get("Evaluation/success"), "{:.2f}".format),
-            **{each.label: (get(f"Success/{each.name}", get(f"Evaluation/{each.name}")), each.short) for each in self._task_metrics},
+            **{
+                each.label: (get(f"Success/{each.name}", get(f"Evaluation/{each.name}")), each.short)
+                for each in self._task_metrics
+            },
             "kl": (get("Loss/kl"), "{:.4f}".format),
             "lr": (get("Loss/learning_rate"), "{:.1e}".format),
             "std": (get("Policy/mean_std"), "{:.2f}".format),
