@@ -42,6 +42,42 @@ def command_page() -> str:
     return group_page("Commands", intro, "command")
 
 
+def tasks_page() -> str:
+    """Return the page of the tasks: criterion, failure, metrics, score, and the settings that belong to each."""
+    from skatemount.envs.tasks import TASKS
+
+    counts = {"all": "all", "complete": "that lasted until the time limit", "success": "that succeeded"}
+    lines = [
+        "# Tasks",
+        "",
+        "A task says what an episode is about. `task=<name>` chooses one for a training, with the settings that belong "
+        "to it; stages and suites choose theirs. `success=<name>` chooses criterion and metrics alone. [Use your own]"
+        "(../extend.md#tasks) says how to write one.",
+        "",
+    ]
+    for name in TASKS.names():
+        task = TASKS.get(name)
+        lines += [f"## `task={name}`", "", sentence(task.description), "", "**Success.**"]
+        lines += [" ".join(map(plain, ref.Docstring.of(task.success).paragraphs)), ""]
+        lines += ["An episode must also last until its time limit.", ""]
+        lines += [f"**Failure at the time limit.** `{task.failure}`: {plain(task.failure_words)}.", ""]
+        lines += head("metric", "label", "unit", "over the episodes", "episodes", "meaning")
+        for each in task.metrics:
+            counted = counts[each.counts]
+            if each.otherwise == each.otherwise:
+                counted = f"all; {each.otherwise:g} unless it is one {counted}"
+            cells = (each.label, each.unit, each.reducer, counted, plain(each.meaning))
+            lines.append(row(f"`{each.name}`", *cells))
+        terms = "".join(f" {'-' if w < 0 else '+'} {abs(w):g} × `{metric}`" for metric, w in task.score.items())
+        lines += ["", f"**Score for the best checkpoint.** success rate{terms}", "", "**Settings.**", ""]
+        values = raw(CONF / "task" / f"{name}.yaml")
+        for entry in values.pop("defaults", []):
+            lines += [f"- `{str(group).removeprefix('override /')}={each}`" for group, each in entry.items()]
+        lines += [f"- `{key}={value}`" for key, value in flat(values)]
+        lines += ["", f"Source: {{py:mod}}`{TASKS.module(name)}`.", ""]
+    return "\n".join(lines)
+
+
 def stages_page() -> str:
     """Return the page of the stages: the settings that each changes."""
     lines = ["# Stages", "", "What each stage sets, from its file. [Stages](../stages.md) explains them.", ""]
@@ -160,6 +196,7 @@ def pages() -> dict[str, tuple[str, str]]:
         "commands": command_page(),
         "robots": group_page("Robots", "`robot=<name>` chooses the robot.", "robot"),
         "boards": group_page("Boards", "`board=<name>` chooses the skateboard.", "board"),
+        "tasks": tasks_page(),
         "stages": stages_page(),
         "suites": suites_page(),
         "policies": policies_page(),

@@ -80,6 +80,7 @@ def _group_and_classes(group: str, registry: ClassRegistry, setting: str = "kind
 
 KINDS: dict[str, tuple[str, Callable[[], dict[str, str]]]] = {
     "stages": ("what to train: stage=<name>", configuration.stages),
+    "tasks": ("what an episode is about: task=<name>", lambda: _of_group("task")),
     "suites": ("tests of MountBench: suite=<name>", configuration.suites),
     "robots": ("robot=<name>", lambda: _of_group("robot")),
     "boards": ("board=<name>", lambda: _of_group("board")),

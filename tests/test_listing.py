@@ -73,7 +73,7 @@ def test_ones_own_files_and_terms_are_listed(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (["stage"], "stage cannot be listed; there are: stages, suites,"),
+        (["stage"], "stage cannot be listed; there are: stages, tasks, suites,"),
         (["rewards", "plugins=terms"], "plugins=terms must be a list such as [a, b]"),
         (["rewards", "plugins=[no_such]"], "plugins=[no_such]: there is no module no_such"),
         (["stages", "--config-dir", "nowhere"], "--config-dir nowhere: there is no such folder"),

@@ -36,6 +36,7 @@ MARK = re.compile(r"<!-- result (\S+) -->(.*?)<!-- end -->", re.DOTALL)
 FAILURES = {
     "not_mounted": "not mounted at the time limit",
     "not_followed": "did not follow the command",
+    "not_held": "not mounted all the time",
     "tilt": "robot fell",
     "board_tilt": "board tipped over",
     "trunk_contact": "trunk touched something",
@@ -104,13 +105,13 @@ def command(results: dict[str, Any]) -> str:
 
 
 def table(results: dict[str, Any]) -> str:
-    """Return a row for each suite whose task is to mount a board."""
+    """Return a row for each suite whose task is to mount a board. Other tasks have no time to mount."""
     rows = [
         "| suite | success | 95 % interval | time to mount | feet on board | failures |",
         "|---|---|---|---|---|---|",
     ]
     for name, suite in results["suites"].items():
-        if suite["stage"] != "gait":
+        if suite["stage"] != "gait" and "time_to_mount" in suite:
             rows.append(
                 f"| `{name}` | {percent(suite['success']['rate'])} | {interval(suite)} | {time_to_mount(suite)} "
                 f"| {suite['feet_on_board']:.2f} | {failures(suite)} |"

@@ -15,6 +15,7 @@ import presets  # noqa: E402
 import reference  # noqa: E402
 
 from skatemount.config import stages, suites  # noqa: E402
+from skatemount.envs.tasks import TASKS  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,14 @@ def test_a_term_has_meaning_weight_and_parameters(pages: dict[str, str]) -> None
 
 @pytest.mark.parametrize(
     "page, group",
-    [("robots", "robot"), ("boards", "board"), ("commands", "command"), ("stages", "stage"), ("suites", "suite")],
+    [
+        ("robots", "robot"),
+        ("boards", "board"),
+        ("commands", "command"),
+        ("tasks", "task"),
+        ("stages", "stage"),
+        ("suites", "suite"),
+    ],
 )
 def test_every_preset_is_there(pages: dict[str, str], page: str, group: str) -> None:
     names = {path.stem for path in (ROOT / "conf" / group).glob("*.yaml")}
@@ -55,6 +63,15 @@ def test_every_class_is_there(pages: dict[str, str]) -> None:
         section = pages["classes"].partition(f"## `{setting}`")[2].partition("\n## ")[0]
         assert re.findall(r"^\| `([\w]+)` \|", section, re.MULTILINE) == registry.names()
     assert "| `mlp` | `skatemount.models.actor_critic.ActorCritic` | Multilayer" in pages["classes"]
+def test_a_task_has_its_criterion_failure_metrics_and_settings(pages: dict[str, str]) -> None:
+    for name in TASKS.names():
+        task, text = TASKS.get(name), pages["tasks"].split(f"## `task={name}`")[1].split("\n## ")[0]
+        assert f"`{task.failure}`: {task.failure_words}." in text and f"- `success={name}`" in text
+        assert re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE) == [metric.name for metric in task.metrics]
+    mount = pages["tasks"].split("## `task=mount`")[1]
+    assert "throughout the last second" in mount and "success rate + 0.01 × `feet_on_board`" in mount
+    assert "| all; 0 unless it is one that lasted until the time limit |" in mount
+    assert "- `command=sampled`" in pages["tasks"]
 
 
 def test_every_policy_is_there(pages: dict[str, str]) -> None:
