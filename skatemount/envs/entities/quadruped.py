@@ -9,7 +9,7 @@ import numpy as np
 from dm_control import composer, mjcf
 
 from skatemount.envs.config.robot import RobotConfig
-from skatemount.envs.entities import a1_visuals, plain_visuals
+from skatemount.envs.entities import a1_visuals, go2_visuals, plain_visuals
 from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.robots.spec import Leg, LegKinematics, Link, RobotSpec
 
@@ -21,6 +21,7 @@ KD_INDEX = 6
 
 LOOKS: dict[str, Callable[[mjcf.RootElement, RobotSpec], None]] = {
     "a1": a1_visuals.add_visuals,
+    "go2": go2_visuals.add_visuals,
     "plain": plain_visuals.add_visuals,
 }
 """Functions that add what is only drawn to a robot's model, by `RobotSpec.look`."""

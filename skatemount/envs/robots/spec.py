@@ -155,8 +155,8 @@ class RobotSpec:
         trunk_shape: Collision shape of the trunk.
         legs: The four legs, in the order of joints and feet.
         kinematics: Dimensions of the legs.
-        leg_radius: Upper bound on the radii of the thighs' and calves' shapes, m: start states keep this distance from
-            board and floor.
+        leg_radius: Upper bound on the distance of the thighs' and calves' surfaces from the straight lines between
+            thigh joint, knee and foot, m: start states keep this distance from board and floor.
         look: Name of the visible parts, a key of `skatemount.envs.entities.quadruped.LOOKS`.
 
     Raises:
