@@ -12,6 +12,7 @@ from skatemount.envs.config.robot import RobotConfig
 from skatemount.envs.entities import a1_visuals, go2_visuals, plain_visuals
 from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.robots.spec import Leg, LegKinematics, Link, RobotSpec
+from skatemount.utils.errors import ConfigError
 
 __all__ = ["KD_INDEX", "KP_INDEX", "LOOKS", "LegKinematics", "Quadruped", "RobotConfig", "scale_gains"]
 
@@ -24,7 +25,8 @@ LOOKS: dict[str, Callable[[mjcf.RootElement, RobotSpec], None]] = {
     "go2": go2_visuals.add_visuals,
     "plain": plain_visuals.add_visuals,
 }
-"""Functions that add what is only drawn to a robot's model, by `RobotSpec.look`."""
+"""Functions that add what is only drawn to a robot's model, by `RobotSpec.look`. A robot's own look is added with
+``LOOKS[name] = function``."""
 
 
 class Quadruped(composer.Entity):
@@ -47,6 +49,8 @@ class Quadruped(composer.Entity):
         self._config = config
         self._config.validate()
         self._spec = self._config.spec
+        if self._spec.look not in LOOKS:
+            raise ConfigError(f"robot {self._spec.name}: look={self._spec.look!r} must be one of {', '.join(LOOKS)}")
         self._layout = JointLayout.of(self._spec)
         self._mjcf_root = mjcf.RootElement(model=name or self._spec.name)
         self._mjcf_root.compiler.angle = "radian"

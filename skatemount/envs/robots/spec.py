@@ -46,6 +46,28 @@ class Inertial:
     com: np.ndarray
     inertia: np.ndarray
 
+    def problem(self, body: str) -> str | None:
+        """Return in one line why no rigid body can have these numbers; None if one can.
+
+        Args:
+            body: Name of the link, for the message.
+        """
+        if not (np.isfinite(self.mass) and self.mass > 0):
+            return f"the mass of {body} must be above 0 kg, not {self.mass}"
+        if np.shape(self.com) != (3,) or not np.isfinite(self.com).all():
+            return f"the center of mass of {body} must be 3 finite numbers, not {self.com}"
+        if np.shape(self.inertia) != (3, 3) or not np.allclose(self.inertia, np.transpose(self.inertia), atol=0):
+            return f"the inertia of {body} must be a symmetric 3 x 3 matrix"
+        small, middle, large = np.linalg.eigvalsh(self.inertia)
+        if not small > 0:
+            return f"the principal inertias of {body} must be above 0 kg m^2, the smallest is {small:.3g}"
+        if small + middle < large:
+            return (
+                f"the largest principal inertia of {body} must not exceed the sum of the others, but "
+                f"{large:.3g} > {small:.3g} + {middle:.3g} kg m^2"
+            )
+        return None
+
     def mjcf(self) -> dict[str, object]:
         """Return the attributes of an MJCF `inertial` element."""
         i = self.inertia
@@ -188,6 +210,17 @@ class RobotSpec:
             for link in leg.links:
                 if not link.range[0] < link.range[1]:
                     raise ValueError(f"robot {self.name}: the range of {link.name} must rise, not be {link.range}")
+                if not link.reduction > 0:
+                    raise ValueError(
+                        f"robot {self.name}: the reduction of {link.name} must be above 0, not {link.reduction}"
+                    )
+        for body, inertial in ((self.trunk, self.trunk_inertial), *((link.name, link.inertial) for link in self.links)):
+            if problem := inertial.problem(body):
+                raise ValueError(f"robot {self.name}: {problem}")
+        for name, value in (*vars(self.kinematics).items(), ("leg_radius", self.leg_radius)):
+            # Legs may lie in one plane with the hip's axis.
+            if not (0 < value < np.inf or value == 0 and name in ("hip_y", "thigh_y")):
+                raise ValueError(f"robot {self.name}: {name} must be above 0 m, not {value}")
         for kind, names in (
             ("body", [self.trunk, *(link.name for link in self.links)]),
             ("joint", [link.joint for link in self.links]),

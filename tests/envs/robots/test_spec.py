@@ -15,6 +15,7 @@ from skatemount.envs.entities.quadruped import Quadruped
 from skatemount.envs.legs import Legs
 from skatemount.envs.robots import A1, ROBOTS, RobotSpec
 from skatemount.envs.robots.spec import Inertial, merge, symmetric
+from skatemount.utils.errors import ConfigError
 
 
 @pytest.fixture
@@ -33,6 +34,10 @@ def change_link(spec: RobotSpec, index: int, **changes: object) -> tuple:
     return change_leg(spec, 0, links=tuple(changed))
 
 
+def change_inertial(**changes: object) -> tuple:
+    return change_link(A1, 0, inertial=dataclasses.replace(A1.legs[0].links[0].inertial, **changes))
+
+
 @pytest.mark.parametrize(
     ("legs", "message"),
     [
@@ -42,6 +47,13 @@ def change_link(spec: RobotSpec, index: int, **changes: object) -> tuple:
         (change_leg(A1, 2, links=A1.legs[2].links[:2]), r"equal numbers of links.*\[3, 3, 2, 3\]"),
         (change_link(A1, 1, axis=(0.0, 0.0, 1.0)), "axis of FR_thigh must be"),
         (change_link(A1, 1, range=(1.0, 1.0)), "range of FR_thigh must rise"),
+        (change_link(A1, 1, range=(1.0, -1.0)), r"range of FR_thigh must rise, not be \(1.0, -1.0\)"),
+        (change_link(A1, 2, reduction=0.0), "reduction of FR_calf must be above 0, not 0.0"),
+        (change_inertial(mass=0.0), "the mass of FR_hip must be above 0 kg, not 0.0"),
+        (change_inertial(com=np.zeros(2)), "the center of mass of FR_hip must be 3 finite numbers"),
+        (change_inertial(inertia=np.triu(np.ones((3, 3)))), "the inertia of FR_hip must be a symmetric 3 x 3 matrix"),
+        (change_inertial(inertia=np.diag([-1e-4, 1e-3, 1e-3])), "inertias of FR_hip must be above 0 .* is -0.0001$"),
+        (change_inertial(inertia=np.diag([1.0, 2.0, 4.0])), "inertia of FR_hip must not exceed .* 4 > 1 \\+ 2"),
         (change_link(A1, 1, name="FR_hip"), "two body names are FR_hip"),
         (change_link(A1, 1, name="trunk"), "two body names are trunk"),
         (change_link(A1, 1, joint="FR_hip_joint"), "two joint names are FR_hip_joint"),
@@ -51,6 +63,21 @@ def change_link(spec: RobotSpec, index: int, **changes: object) -> tuple:
 def test_mistakes_are_named(legs: tuple, message: str) -> None:
     with pytest.raises(ValueError, match=f"^robot a1: .*{message}"):
         dataclasses.replace(A1, legs=legs)
+
+
+def test_mistakes_of_the_trunk_and_the_lengths_are_named() -> None:
+    with pytest.raises(ValueError, match="^robot a1: the mass of trunk must be above 0 kg, not -1.0$"):
+        dataclasses.replace(A1, trunk_inertial=dataclasses.replace(A1.trunk_inertial, mass=-1.0))
+    with pytest.raises(ValueError, match="^robot a1: calf_length must be above 0 m, not -0.2$"):
+        dataclasses.replace(A1, kinematics=dataclasses.replace(A1.kinematics, calf_length=-0.2))
+    with pytest.raises(ValueError, match="^robot a1: leg_radius must be above 0 m, not 0.0$"):
+        dataclasses.replace(A1, leg_radius=0.0)
+
+
+def test_an_unknown_look_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(ROBOTS, "shiny", dataclasses.replace(A1, look="chrome"))
+    with pytest.raises(ConfigError, match="^robot a1: look='chrome' must be one of a1, go2, plain$"):
+        Quadruped(config=defaults.robot(variant="shiny"))
 
 
 def test_limits_of_the_stance_are_those_of_all_legs() -> None:

@@ -1,4 +1,4 @@
-"""The looks of the A1, which change neither its mass nor its contacts."""
+"""The looks of the robots that have their own, which change neither mass nor contacts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from skatemount.config import compose
 from skatemount.envs.entities.quadruped import Quadruped
 
 
-@pytest.fixture(params=["a1", "a1_isaac"])
+@pytest.fixture(params=["a1", "a1_isaac", "go2"])
 def robot(request: pytest.FixtureRequest) -> Quadruped:
     return Quadruped(config=compose(None, [f"robot={request.param}"]).robot)
 
@@ -41,5 +41,13 @@ def test_visuals_are_near_the_bodies_that_they_cover(robot: Quadruped) -> None:
     physics = mjcf.Physics.from_mjcf_model(robot.mjcf_model)
     model = physics.model.ptr
     visual = model.geom_contype == 0
-    # No part of the trunk or of a link is longer than 0.3 m from the origin of its frame.
-    assert (np.linalg.norm(model.geom_pos[visual], axis=1) < 0.3).all()
+    # No part of the trunk or of a link is further than 0.35 m from the origin of its frame.
+    assert (np.linalg.norm(model.geom_pos[visual], axis=1) < 0.35).all()
+
+
+def test_robots_do_not_look_alike() -> None:
+    colors = {}
+    for name in ("a1", "go2"):
+        robot = Quadruped(config=compose(None, [f"robot={name}"]).robot)
+        colors[name] = {tuple(material.rgba) for material in robot.mjcf_model.find_all("material")}
+    assert len(colors["go2"] - colors["a1"]) >= 4
