@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import defaults
 import numpy as np
 import pytest
 import torch
@@ -15,6 +16,7 @@ from tiny import BATCH, SILENT, TINY
 from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import compose, compose_program
 from skatemount.envs import MountEnv, MountTask
+from skatemount.envs.physics.factory import make_physics
 from skatemount.envs.robots import ROBOTS
 from skatemount.evaluation.suite_task import EvaluationTask
 from skatemount.rendering.overlay import draw_overlay
@@ -33,10 +35,20 @@ def beetle(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(ROBOTS, "beetle", SPEC)
 
 
+@pytest.fixture(params=["cpu", "warp"])
+def policy(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """The last checkpoint of a training of two iterations on one of the engines, with a symmetric network."""
+    return trained(tmp_path, f"physics.engine={request.param}", "physics.device=cpu")
+
+
 @pytest.fixture
-def policy(tmp_path: Path) -> Path:
-    """The last checkpoint of a training of two iterations, with a symmetric network."""
-    given = [*TINY, *SILENT, *ROBOT, "network.symmetric=true", f"total_frames={2 * BATCH}", f"logger.root={tmp_path}"]
+def cpu_policy(tmp_path: Path) -> Path:
+    return trained(tmp_path)
+
+
+def trained(tmp_path: Path, *engine: str) -> Path:
+    given = [*TINY, *SILENT, *ROBOT, *engine, "network.symmetric=true", f"total_frames={2 * BATCH}"]
+    given.append(f"logger.root={tmp_path}")
     train(compose("balance", given), given)
     run = RunFolder.open(tmp_path / (tmp_path / "latest").read_text().strip())
     return run.path
@@ -57,6 +69,27 @@ def test_its_worlds_are_stepped() -> None:
     ankles = env.sim.joint_pos[:, 3::4]
     assert (ankles[:, 0] > ankles[:, 1:].max(1).values + 0.1).all()
     env.close(raise_if_closed=False)
+
+
+def test_both_engines_step_it_alike() -> None:
+    task = MountTask("balance", ROBOT)
+    start = task.make_sampler().draw(8, torch.Generator().manual_seed(0))
+    states = []
+    for name in ("cpu", "warp"):
+        physics = make_physics(task.scene, defaults.physics(engine=name, num_worlds=8, threads=1, device="cpu"))
+        physics.reset(torch.ones(8, dtype=torch.bool), start)
+        target = torch.as_tensor(task.scene.robot.default_pose, dtype=torch.float32).repeat(8, 1)
+        target[:, 3] += 0.2
+        for _ in range(5):
+            physics.step(target, 4)
+        states.append(physics.state().clone())
+        physics.close()
+    cpu, warp = states
+    assert cpu.joint_pos.shape == warp.joint_pos.shape == (8, 16)
+    assert cpu.body_force.shape == warp.body_force.shape == (8, 13)
+    torch.testing.assert_close(warp.joint_pos, cpu.joint_pos, atol=5e-3, rtol=0)
+    torch.testing.assert_close(warp.foot_pos, cpu.foot_pos, atol=1e-3, rtol=0)
+    assert (cpu.joint_pos[:, 3] > cpu.joint_pos[:, 7] + 0.1).all()
 
 
 def test_one_world_takes_16_actions() -> None:
@@ -85,8 +118,8 @@ def test_it_is_trained_saved_evaluated_and_filmed(policy: Path) -> None:
         other.evaluate(4)
 
 
-def test_its_policy_is_symmetric(policy: Path) -> None:
-    saved = TrainedPolicy.load(str(policy))
+def test_its_policy_is_symmetric(cpu_policy: Path) -> None:
+    saved = TrainedPolicy.load(str(cpu_policy))
     mdp = MountTask(config=saved.config).make_mdp(torch.Generator())
     layout = mdp.context.layout
     observation = torch.randn(6, mdp.observation.size, generator=torch.Generator().manual_seed(0))
