@@ -12,6 +12,7 @@ PROGRAMS = {
     "record": ("checkpoint=pretrained:balance", "film it"),
     "bench": ("stage=balance", "how fast training is here"),
     "list": ("stages", "stages, suites, boards, policies, terms, ..."),
+    "robot-spec": ("robot.urdf", "a robot of your own from its URDF or MJCF"),
 }
 """Arguments of an example and a description for each program."""
 
@@ -40,7 +41,8 @@ def main() -> None:
         print(f"skatemount: there is no program {name}; there are: {', '.join(PROGRAMS)}", file=sys.stderr)
         sys.exit(2)
     sys.argv = [f"{sys.argv[0]} {name}", *sys.argv[2:]]
-    importlib.import_module("skatemount.listing" if name == "list" else f"skatemount.{name}").main()
+    module = "listing" if name == "list" else name.replace("-", "_")
+    importlib.import_module(f"skatemount.{module}").main()
 
 
 if __name__ == "__main__":
