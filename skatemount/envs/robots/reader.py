@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from skatemount.envs.robots.shapes import Solid, leg_radius, one_shape, trunk_box
-from skatemount.envs.robots.spec import MAIN_AXES, Inertial, Leg, LegKinematics, Link, RobotSpec, merge
+from skatemount.envs.robots.spec import MAIN_AXES, Inertial, Leg, LegKinematics, Link, RobotSpec, Shape, merge
 from skatemount.utils.errors import ConfigError
 
 CLOSE = 1e-3
@@ -52,7 +52,8 @@ def read_robot(path: Path | str, name: str | None = None, foot_radius: float | N
         ConfigError: MuJoCo cannot read the file, or the robot is none that `RobotSpec` describes; the message names
             the first body or joint that does not fit.
     """
-    path, notes = Path(path), []
+    path = Path(path)
+    notes: list[str] = []
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such file")
     try:
@@ -95,9 +96,7 @@ def _identifier(names: bytes, path: Path) -> str:
 def _speeds(path: Path) -> dict[str, float]:
     """Return the joints' largest speeds in a URDF, rad/s; MuJoCo does not keep them."""
     limits = {joint.get("name", ""): joint.find("limit") for joint in ET.parse(path).getroot().iter("joint")}
-    return {
-        name: float(limit.get("velocity", 0)) for name, limit in limits.items() if limit is not None
-    }  # fmt: skip
+    return {name: float(limit.get("velocity", 0)) for name, limit in limits.items() if limit is not None}
 
 
 class _Reader:
@@ -127,6 +126,7 @@ class _Reader:
             self._children[links[int(model.body_parentid[body])]].append(body)
         # The trunk carries the legs; a free or fixed base counts as link 0.
         self._hips = self._children[0]
+        self._merged: list[str] = []
         if len(self._hips) != 4:
             raise ValueError(f"the trunk must carry 4 legs, not {len(self._hips)} joints")
         self._trunk = int(model.body_parentid[self._hips[0]])
@@ -161,13 +161,15 @@ class _Reader:
             trunk=self._model.body(self._trunk).name,
             trunk_inertial=self._inertial(0, np.zeros(3)),
             trunk_shape=self._shape(0, np.zeros(3)) or trunk_box(kinematics, self._notes),
-            legs=tuple(self._leg(chain, row, torques[0][0]) for chain, row in zip(chains, torques)),
+            legs=tuple(self._leg(chain, row, torques[0][0], kinematics) for chain, row in zip(chains, torques)),
             kinematics=kinematics,
             leg_radius=max(
                 kinematics.foot_radius,
                 *(leg_radius(self._shape(body, self._anchor(body))) for chain in chains for body in chain[1:3]),
             ),
         )
+        if merged := list(dict.fromkeys(self._merged)):
+            self._notes.append(f"One shape stands for the several collision shapes of each of {', '.join(merged)}.")
         speed = self._speeds.get(self._joint_name(chains[0][0])) or None
         if torques[0][0] is None:
             self._notes.append("It gives no torque limits: set robot.torque_limit, and the links' reductions.")
@@ -231,13 +233,11 @@ class _Reader:
             for i, body in enumerate(chain):
                 place = expected[min(i, 3)]
                 if np.abs(self._anchor(body) - place).max() > CLOSE:
-                    raise ValueError(f"joint {self._joint_name(body)} must be at {_vector(place)} m in the trunk's frame "
-                                     f"(LegKinematics), not at {_vector(self._anchor(body))}")  # fmt: skip
+                    raise ValueError(_misplaced(f"joint {self._joint_name(body)}", place, self._anchor(body)))
             off = float(np.linalg.norm(foot - expected[3]))
             where = f"the foot of {self._model.body(chain[-1]).name}"
             if off > FOOT_CLOSE:
-                raise ValueError(f"{where} must be at {_vector(expected[3])} m in the trunk's frame (LegKinematics), not "
-                                 f"at {_vector(foot)}")  # fmt: skip
+                raise ValueError(_misplaced(where, expected[3], foot))
             if off > 1e-6:
                 self._notes.append(
                     f"The feet are {1000 * off:.1f} mm off the calves' axes; the spec puts them on these."
@@ -260,19 +260,20 @@ class _Reader:
         raise ValueError(f"body {model.body(last).name} must end in a foot: a sphere that collides, or, with "
                          "--foot-radius, a fixed body with foot in its name")  # fmt: skip
 
-    def _leg(self, chain: list[int], torques: list[float | None], motor: float | None) -> Leg:
+    def _leg(self, chain: list[int], torques: list[float | None], motor: float | None, kin: LegKinematics) -> Leg:
         front, left = (float(x) for x in np.sign(self._anchor(chain[0])[:2]))
         joints = [self._joint_name(body) for body in chain]
         own = os.path.commonprefix(joints).rstrip("_-. /")
         name = own or f"{'F' if front > 0 else 'R'}{'L' if left > 0 else 'R'}"
         links = []
+        lowest = kin.foot_radius - kin.calf_length
         for body, joint, torque in zip(chain, joints, torques):
             axis = self._axes.T @ self._data.xaxis[self._joint(body)]
             x, y, z = (_rounded(each) for each in axis.round(6))
             low, high = (_rounded(each) for each in self._model.jnt_range[self._joint(body)])
             if not self._model.jnt_limited[self._joint(body)]:
                 raise ValueError(f"joint {joint} must have a range")
-            shape = self._shape(body, self._anchor(body), without_foot=body == chain[-1])
+            shape = self._shape(body, self._anchor(body), lowest if body == chain[2] else -np.inf)
             reduction = torque / motor if torque and motor else 1.0
             inertial = self._inertial(body, self._anchor(body))
             name_of = self._model.body(body).name
@@ -320,8 +321,8 @@ class _Reader:
             and (model.geom_contype[geom] or model.geom_conaffinity[geom])
         ]
 
-    def _shape(self, link: int, origin: np.ndarray, without_foot: bool = True):  # type: ignore[no-untyped-def]
-        """Return the collision shape of a link in its own frame, None without one."""
+    def _shape(self, link: int, origin: np.ndarray, lowest: float = -np.inf) -> Shape | None:
+        """Return the collision shape of a link in its own frame, None without one; see `one_shape`."""
         model, solids = self._model, []
         for geom in self._geoms(link):
             if model.geom_bodyid[geom] == 0 or link and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
@@ -335,8 +336,14 @@ class _Reader:
                     model.geom_aabb[geom],
                 )
             )
-        name = model.body(link or self._trunk).name
-        return one_shape(solids, name, self._notes)
+        if len(solids) > 1:
+            self._merged.append(model.body(link or self._trunk).name)
+        return one_shape(solids, lowest)
+
+
+def _misplaced(what: str, place: np.ndarray, found: np.ndarray) -> str:
+    """Return the message about a joint or foot that is not where `LegKinematics` puts it."""
+    return f"{what} must be at {_vector(place)} m in the trunk's frame (LegKinematics), not at {_vector(found)}"
 
 
 def _rounded(value: float) -> float:

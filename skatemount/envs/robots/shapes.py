@@ -32,9 +32,13 @@ class Solid:
     aabb: np.ndarray
 
     @property
-    def volume(self) -> float:
-        """Volume of the bounding box, m^3."""
-        return float(8 * np.prod(self.aabb[3:]))
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Center and half sizes of a box along the link's axes that holds the geom, m."""
+        if self.kind in (_GEOM.mjGEOM_CAPSULE, _GEOM.mjGEOM_CYLINDER):
+            # Of a cylinder this holds a ball at either end, not the rims, which may be a little outside.
+            straight = self.size[1] - (self.size[0] if self.kind == _GEOM.mjGEOM_CYLINDER else 0.0)
+            return self.center, self.size[0] + max(straight, 0.0) * np.abs(self.axes[:, 2])
+        return self.center + self.axes @ self.aabb[:3], np.abs(self.axes) @ self.aabb[3:]
 
     def shape(self) -> Box | Capsule:
         """Return a capsule for a capsule or cylinder, and a box along the link's axes for all others.
@@ -47,23 +51,32 @@ class Solid:
                 half = max(half - radius, 1e-3)
             along = half * self.axes[:, 2]
             return Capsule(_rounded(radius), _vector(self.center - along), _vector(self.center + along))
-        # The box along the link's axes that holds the geom's bounding box, which may be turned.
-        return Box(_vector(np.abs(self.axes) @ self.aabb[3:]), _vector(self.center + self.axes @ self.aabb[:3]))
+        center, half = self.bounds
+        return Box(_vector(half), _vector(center))
 
 
-def one_shape(solids: list[Solid], body: str, notes: list[str]) -> Box | Capsule | None:
-    """Return the shape of the largest of a link's geoms; None without one.
+def one_shape(solids: list[Solid], lowest: float) -> Box | Capsule | None:
+    """Return one shape for all geoms of a link; None without geoms.
+
+    A single geom keeps its shape. Of several it is the box that holds them, or a capsule inside of that box if the box
+    is long.
 
     Args:
         solids: The geoms, without the foot.
-        body: Name of the link.
-        notes: A sentence is added if there are several geoms.
+        lowest: Lowest height of a capsule's surface in the link's frame, m, which keeps a calf off the ground.
     """
-    if not solids:
-        return None
-    if len(solids) > 1:
-        notes.append(f"{body} has {len(solids)} collision shapes; the spec has the largest one.")
-    return max(solids, key=lambda solid: solid.volume).shape()
+    if len(solids) < 2:
+        return solids[0].shape() if solids else None
+    bounds = [solid.bounds for solid in solids]
+    low = np.min([center - half for center, half in bounds], axis=0)
+    high = np.max([center + half for center, half in bounds], axis=0)
+    center, half = (low + high) / 2, (high - low) / 2
+    width, longest = sorted(half)[1:]
+    if longest < 2 * width or int(np.argmax(half)) != 2:
+        return Box(_vector(half), _vector(center))
+    bottom = max(low[2], lowest) + width
+    x, y = center[:2]
+    return Capsule(_rounded(width), _vector(np.array([x, y, high[2] - width])), _vector(np.array([x, y, bottom])))
 
 
 def trunk_box(kinematics: LegKinematics, notes: list[str]) -> Box:
@@ -78,7 +91,8 @@ def leg_radius(shape: Box | Capsule | None) -> float:
         return 0.0
     if isinstance(shape, Capsule):
         return shape.radius + max(float(np.hypot(*end[:2])) for end in (shape.start, shape.end))
-    return float(np.hypot(*(abs(c) + h for c, h in zip(shape.center[:2], shape.half_size[:2]))))
+    x, y = (abs(c) + h for c, h in zip(shape.center[:2], shape.half_size[:2]))
+    return float(np.hypot(x, y))
 
 
 def _rounded(value: float) -> float:

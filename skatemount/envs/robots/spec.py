@@ -116,6 +116,10 @@ class Capsule:
         return {"type": "capsule", "size": (self.radius,), "fromto": (*self.start, *self.end)}
 
 
+Shape = Box | Capsule
+"""A collision shape."""
+
+
 @dataclass(frozen=True)
 class Link:
     """A link of a leg, and the motor and joint that move it.
@@ -138,7 +142,7 @@ class Link:
     axis: Vector
     range: tuple[float, float]
     inertial: Inertial
-    shape: Box | Capsule | None = None
+    shape: Shape | None = None
     reduction: float = 1.0
     default: float = 0.0
     action_scale: float = 0.0
@@ -188,7 +192,7 @@ class RobotSpec:
     name: str
     trunk: str
     trunk_inertial: Inertial
-    trunk_shape: Box | Capsule
+    trunk_shape: Shape
     legs: tuple[Leg, ...]
     kinematics: LegKinematics
     leg_radius: float

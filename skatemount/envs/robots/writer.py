@@ -30,7 +30,7 @@ def module_text(robot: RobotFile, source: str) -> str:
     spec = robot.spec
     constant = spec.name.upper() if spec.name.isidentifier() else "ROBOT"
     mass = spec.trunk_inertial.mass + sum(link.inertial.mass for link in spec.links)
-    notes = "".join(f"- {note}\n" for note in robot.notes)
+    notes = "".join(textwrap.fill(f"- {note}", 118, subsequent_indent="  ") + "\n" for note in robot.notes)
     legs = ",\n".join(_indent(_leg(leg), 8) for leg in spec.legs)
     trunk = _indent(_inertial(spec.trunk_inertial), 4).lstrip()
     return f'''"""The robot {spec.name}: {mass:.3f} kg, from {source} by `skatemount robot-spec`.
@@ -127,9 +127,9 @@ def _leg(leg: Leg) -> str:
 
 def _inertial(inertial: Inertial) -> str:
     i = inertial.inertia
-    entries = ", ".join(_number(x) for x in (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]))
+    main, other = (", ".join(map(_number, each)) for each in ((i[0, 0], i[1, 1], i[2, 2]), (i[0, 1], i[0, 2], i[1, 2])))
     com = f"np.array([{', '.join(_number(x) for x in inertial.com)}])"
-    return _call("Inertial", [f"{_number(inertial.mass)}, {com}", f"symmetric({entries})"])
+    return _call("Inertial", [f"{_number(inertial.mass)}, {com}", _call("symmetric", [main, other])])
 
 
 def _shape(shape: Box | Capsule) -> str:
