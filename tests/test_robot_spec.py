@@ -16,7 +16,6 @@ from skatemount.envs.robots import ROBOTS
 from skatemount.envs.robots.reader import read_robot
 from skatemount.robot_spec import main
 
-
 STILL = [f"start.{name}=[0,0]" for name in ("height", "roll", "pitch", "lin_vel", "ang_vel", "joint_pos", "joint_vel")]
 """Start states with level trunk, in the default pose, at rest."""
 

@@ -95,7 +95,7 @@ def _identifier(names: bytes, path: Path) -> str:
 
 def _speeds(path: Path) -> dict[str, float]:
     """Return the joints' largest speeds in a URDF, rad/s; MuJoCo does not keep them."""
-    limits = {joint.get("name", ""): joint.find("limit") for joint in ET.parse(path).getroot().iter("joint")}
+    limits = {joint.get("name", ""): joint.find("limit") for joint in ET.parse(path).getroot().findall("joint")}
     return {name: float(limit.get("velocity", 0)) for name, limit in limits.items() if limit is not None}
 
 

@@ -57,6 +57,8 @@ def urdf() -> str:
             urdf_joint(f"{leg}_c", f"{leg}_thigh", f"{leg}_calf", "0 0 -0.2", "revolute", "0 1 0", knee),
             urdf_joint(f"{leg}_d", f"{leg}_calf", f"{leg}_foot", "0 0 -0.21"),
         ]
+        # Other tags name the joints, too.
+        parts.append(f'<transmission name="{leg}_t"><joint name="{leg}_a"/></transmission>')
     return f'<robot name="tiny_description">{"".join(parts)}</robot>'
 
 
