@@ -60,6 +60,13 @@ def run(repo_root: Path, folder: Path) -> Callable[..., subprocess.CompletedProc
     return call
 
 
+def test_the_page_shows_the_examples_stage(repo_root: Path, folder: Path) -> None:
+    (shown,) = re.findall(
+        r"```yaml\n(.*?)```", (repo_root / "docs" / "robots.md").read_text(encoding="utf-8"), re.DOTALL
+    )
+    assert shown == (folder / "conf" / "stage" / "go1_balance.yaml").read_text(encoding="utf-8")
+
+
 def test_it_stands_for_a_second(run: Callable[..., subprocess.CompletedProcess[str]]) -> None:
     done = run("-c", STANDS)
     assert done.returncode == 0, done.stderr
