@@ -77,7 +77,8 @@ def _prepared(override: Override, written: str, program: str) -> str:
     if _is_whole(keys(schema).get(key)):
         value = ",".join(map(_whole, value.split(",")))
     prefix = override.prefix
-    if not prefix and table_of(schema, key) is not None:
+    is_table = typing.get_origin(keys(schema).get(key)) is dict
+    if not prefix and (is_table or table_of(schema, key) is not None):
         prefix = "++"
     return f"{prefix}{key}={value}"
 

@@ -110,6 +110,7 @@ def test_parameters_are_checked_by_the_constructor(module: Write) -> None:
     kind = f"network.kind={name}:Scaled"
     config = compose("balance", [kind, "network.params.gain=2", "network.params.mode=null"])
     assert config.network.params == {"gain": 2, "mode": None}
+    assert compose("balance", [kind, "network.params={gain: 3, layers: 2}"]).network.params == {"gain": 3, "layers": 2}
     assert refused(kind, "network.params.gian=2") == (
         f"network.params.gian=2: Scaled of {name} has no such parameter; did you mean gain?"
     )
