@@ -124,6 +124,7 @@ def registries() -> list[Registry]:
     from skatemount.envs.observations import OBSERVATIONS
     from skatemount.envs.rewards import REWARDS
     from skatemount.envs.robots import ROBOTS
+    from skatemount.envs.tasks import TASKS
     from skatemount.envs.terminations import TERMINATIONS
 
     tables = {"robot": ROBOTS}
@@ -134,6 +135,7 @@ def registries() -> list[Registry]:
         REWARDS,
         OBSERVATIONS,
         TERMINATIONS,
+        TASKS,
         *POLICY_CLASSES.values(),
         *TRAINING_CLASSES.values(),
         *_TABLES.values(),

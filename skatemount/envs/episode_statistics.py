@@ -121,9 +121,13 @@ class EpisodeStatistics:
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return copies of all sums, those of the running episodes included."""
-        return {name: values.clone() for name, values in vars(self).items() if isinstance(values, Tensor)}
+        return {name: values.clone() for name, values in self._tensors().items()}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Restore what `state_dict` returned."""
-        for name, values in state.items():
-            getattr(self, name).copy_(values)
+        for name, values in self._tensors().items():
+            values.copy_(state[name])
+
+    def _tensors(self) -> dict[str, Tensor]:
+        sums = {name: values for name, values in vars(self).items() if isinstance(values, Tensor)}
+        return sums | {f"running.{name}": values for name, values in self._running.items()}

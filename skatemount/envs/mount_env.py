@@ -313,7 +313,8 @@ class MountEnv(EnvBase):
             "physics": self.physics.state_dict(),
             "memory": self.mdp.memory.state_dict(),
             "privileged": self._privileged.clone(),
-            "episode": {name: values.clone() for name, values in self._episode.to_dict().items()},
+            # Mypy does not know the methods of a tensorclass.
+            "episode": dict(self._episode.clone().to_tensordict()),  # type: ignore[attr-defined]
             "statistics": self.statistics.state_dict(),
             "pushes": self._pushes.state_dict(),
             "starts": self._queue.state_dict(),
@@ -331,9 +332,8 @@ class MountEnv(EnvBase):
             state: What `world_state` returned, of an environment of the same task, seed and number of worlds.
         """
         self.physics.load_state_dict(state["physics"])
-        self._episode = EpisodeState(
-            **{name: values.to(self.device) for name, values in state["episode"].items()}, batch_size=[self.num_worlds]
-        )
+        episode = TensorDict(state["episode"], [self.num_worlds]).to(self.device)
+        self._episode = EpisodeState.from_tensordict(episode)  # type: ignore[attr-defined]
         self.mdp.memory.load_state_dict(state["memory"])
         self._privileged = state["privileged"].to(self.device)
         self.statistics.load_state_dict(state["statistics"])

@@ -63,6 +63,8 @@ def test_every_class_is_there(pages: dict[str, str]) -> None:
         section = pages["classes"].partition(f"## `{setting}`")[2].partition("\n## ")[0]
         assert re.findall(r"^\| `([\w]+)` \|", section, re.MULTILINE) == registry.names()
     assert "| `mlp` | `skatemount.models.actor_critic.ActorCritic` | Multilayer" in pages["classes"]
+
+
 def test_a_task_has_its_criterion_failure_metrics_and_settings(pages: dict[str, str]) -> None:
     for name in TASKS.names():
         task, text = TASKS.get(name), pages["tasks"].split(f"## `task={name}`")[1].split("\n## ")[0]
