@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
@@ -34,6 +35,7 @@ from skatemount.runs import checkpoint
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
 from skatemount.training.callbacks import Callback, arrange_callbacks, make_callbacks
+from skatemount.training.memory import RestoredMemory, memory_after
 from skatemount.training.progress import Progress
 from skatemount.training.state import (
     Attributes,
@@ -137,6 +139,7 @@ class Trainer:
         if self.curriculum is not None:
             self.env.listeners.append(self.curriculum.observe_step)
             self.env.set_start_sampler(self.curriculum.sample_poses)
+        self._memory: dict[str, Tensor] = {}
         self._stuck_states: StuckStateBuffer | None = None
         if config.curriculum.stuck_start_fraction:
             self._stuck_states = StuckStateBuffer(self.env, config.curriculum.stuck_start_fraction)
@@ -227,10 +230,11 @@ class Trainer:
     def _worlds(self) -> dict[str, Any]:
         """Return the state of every world, and of what is kept from them."""
         kept = {} if self._stuck_states is None else {"stuck_states": self._stuck_states.state_dict()}
-        return {"env": self.env.world_state(), **kept}
+        return {"env": self.env.world_state(), "actor_memory": self._memory, **kept}
 
     def _load_worlds(self, state: dict[str, Any]) -> None:
         self.env.load_world_state(state["env"])
+        self._memory = {key: value.to(self.env.device) for key, value in state["actor_memory"].items()}
         if self._stuck_states is not None:
             self._stuck_states.load_state_dict(state["stuck_states"])
 
@@ -324,7 +328,7 @@ class Trainer:
         env: EnvBase = self.env
         if transforms := self.networks.transforms():
             # They carry the actor's memory from step to step, and reset it with a world.
-            env = TransformedEnv(self.env, Compose(*transforms))
+            env = TransformedEnv(self.env, Compose(*transforms, RestoredMemory(self._memory)))
         collector = Collector(
             env,
             self.networks.actor,
@@ -342,6 +346,7 @@ class Trainer:
             self._before = self._snapshot()
             for batch in collector:
                 collected = seconds(device)
+                self._memory = memory_after(batch, self.networks.state_keys)
                 self._call("on_batch_collected", batch)
                 begun = seconds(device)
                 metrics = self._learn(batch)

@@ -192,8 +192,9 @@ def test_stopped_in_the_middle_of_a_stage_it_goes_on(tmp_path: Path) -> None:
             if (trainer.config.stage.name, trainer.iteration) == ("mount", 1):
                 signal.raise_signal(signal.SIGTERM)
 
+    stopped = [*TWO, f"total_frames={6 * BATCH}"]
     with pytest.raises(KeyboardInterrupt):
-        command_with([Stop()], tmp_path, *TWO, f"total_frames={6 * BATCH}")
+        command_with([Stop()], tmp_path, *stopped)
     run = RunFolder.open(next(tmp_path.glob("skatemount/*")))
     stages = report(run)
     assert (stages["balance"]["ended"], stages["mount"]["ended"], stages["mount"]["frames"]) == ("budget", None, BATCH)
@@ -201,6 +202,8 @@ def test_stopped_in_the_middle_of_a_stage_it_goes_on(tmp_path: Path) -> None:
     command(tmp_path, f"resume={run.path}")
     assert report(run)["mount"]["frames"] == 3 * BATCH and report(run)["mount"]["ended"] == "budget"
     assert same(policy, weights(run.path / "1_balance"))
+    # The other chain has the same settings and was not stopped.
+    assert same(weights(run.path / "2_mount"), weights(command(tmp_path / "whole", *stopped).path / "2_mount"))
     assert "all stages" in message(tmp_path, f"resume={run.path}")
     # More frames go to the last stage; the first one stays as it is.
     command(tmp_path, f"resume={run.path}", f"total_frames={8 * BATCH}")

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +31,12 @@ CASES = {
     "auto": ["stage=unfixed", "curriculum=auto", "init_from=null"],
     "anywhere": ["stage=anywhere", "init_from=null"],
     "gait": ["stage=gait"],
+    "memory": [
+        "stage=balance",
+        "reward.feet_air_time.weight=1",
+        "network.kind=own_learning.gru:GruActorCritic",
+        "network.symmetric=false",
+    ],
 }
 
 
@@ -75,6 +84,12 @@ def curves(run: RunFolder) -> list[dict[str, float]]:
     return [{name: value for name, value in row.items() if not name.startswith("Perf/")} for row in rows]
 
 
+@pytest.fixture(autouse=True)
+def examples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the example of a network with memory be imported."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "examples" / "own_learning"))
+
+
 def trained(root: Path, overrides: list[str], *callbacks: Callback) -> RunFolder:
     """Train, and return the run, whether it was ended or not."""
     given = [*TINY, "logger.tensorboard=false", f"logger.root={root}", *LIVELY, *overrides]
@@ -100,3 +115,33 @@ def test_a_resumed_run_equals_one_that_was_not_ended(case: str, tmp_path: Path) 
     trainer.close()
     assert differences(left_by(whole), left_by(parted)) == []
     assert curves(whole) == curves(parted)
+
+
+@pytest.mark.slow
+def test_a_killed_run_resumes_exactly(tmp_path: Path) -> None:
+    settings = ["stage=balance", f"total_frames={WHOLE}", "seed=4"]
+    whole = trained(tmp_path / "whole", settings)
+    given = [*TINY, *LIVELY, *settings, "logger.tensorboard=false", "logger.checkpoint_every=1"]
+    program = f"""if True:
+        import os, signal
+        from skatemount.training.callbacks import Callback
+        from skatemount.training.trainer import Trainer
+        from skatemount.config import compose
+
+        class Kill(Callback):
+            def on_batch_collected(self, trainer, batch):
+                if trainer.frames == {HALF}:
+                    os.kill(os.getpid(), signal.SIGKILL)
+
+        given = {[*given, f"logger.root={tmp_path / 'killed'}"]!r}
+        Trainer(compose(None, given), given, callbacks=[Kill()]).train()
+    """
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    died = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=300)
+    assert died.returncode == -signal.SIGKILL, died.stderr
+    (folder,) = (tmp_path / "killed" / "skatemount").iterdir()
+    given = [f"resume={folder}", f"logger.root={tmp_path / 'killed'}"]
+    trainer = Trainer(resume_config(compose(None, given), given), given)
+    trainer.train()
+    trainer.close()
+    assert differences(left_by(whole), left_by(RunFolder.open(folder))) == []
