@@ -136,8 +136,8 @@ class Physics(Protocol):
 class StartState:
     """Start states of N worlds: pose and velocity of robot and board.
 
-    The board's long axis is level. A field of the board that is None stands for zeros: a level board at the origin, along
-    the x axis, that rolls straight on with all wheels on its floor.
+    The board's long axis is level. A field of the board that is None stands for zeros: a level board at the origin,
+    along the x axis, that rolls straight on with all wheels on its floor.
 
     Attributes:
         base_pos: ``[N, 3]`` trunk center, world, m.
