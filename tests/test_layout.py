@@ -24,6 +24,8 @@ TESTED_IN = {
     "envs/config/starts.py": "envs/test_starts.py",
     "envs/config/terms.py": "envs/config/test_task.py",
     "envs/robots/a1.py": "envs/entities/test_quadruped.py",
+    "envs/robots/shapes.py": "envs/robots/test_reader.py",
+    "envs/robots/writer.py": "test_robot_spec.py",
     "envs/entities/a1_visuals.py": "envs/entities/test_primitive_visuals.py",
     "envs/entities/go2_visuals.py": "envs/entities/test_primitive_visuals.py",
     "envs/mdp.py": "envs/test_task.py",

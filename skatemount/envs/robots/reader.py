@@ -1,4 +1,4 @@
-"""Reading a `RobotSpec` from the URDF or MJCF of a quadruped, by MuJoCo's own compiler."""
+"""`RobotFile`: a `RobotSpec` read from the URDF or MJCF of a quadruped by MuJoCo's own compiler."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FOOT_CLOSE = 5e-3
 
 @dataclass(frozen=True)
 class RobotFile:
-    """What a robot's file says.
+    """A robot as its file describes it.
 
     Attributes:
         spec: Numbers and names of the robot.
@@ -146,6 +146,7 @@ class _Reader:
             )
 
     def read(self, name: str) -> RobotFile:
+        """Return the robot by the given name."""
         chains = [self._chain(hip) for hip in self._hips]
         order = {int(joint): i for i, (joint, _) in enumerate(self._model.actuator_trnid)}
         chains.sort(key=lambda chain: order.get(self._joint(chain[0]), len(order)))

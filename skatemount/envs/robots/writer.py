@@ -24,7 +24,7 @@ def module_text(robot: RobotFile, source: str) -> str:
     """Return a module that registers a robot when it is imported.
 
     Args:
-        robot: What was read.
+        robot: The robot and what its file says.
         source: Name of the file, for the docstring.
     """
     spec = robot.spec
