@@ -56,7 +56,7 @@ def test_each_logger_can_be_switched_off(run: RunFolder) -> None:
     before = set(run.path.iterdir())
     write(run, [(1, {"a": 1.0})], file=False, tensorboard=False)
     assert set(run.path.iterdir()) == before
-    assert [type(logger).__name__ for logger in open_loggers(run, tensorboard=False)] == ["MetricsFile"]
+    assert [type(logger).__name__ for logger in open_loggers(run, tensorboard=False)] == ["JsonLinesLogger"]
 
 
 def test_lines_are_readable_before_the_file_is_closed(tmp_path: Path) -> None:
