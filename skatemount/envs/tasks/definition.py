@@ -122,7 +122,7 @@ class Metric:
 
 @dataclass(frozen=True)
 class TaskDefinition:
-    """What an episode is about.
+    """Definition of a task: criterion, failure, metrics and score of its episodes.
 
     Attributes:
         name: Value of the setting ``success``, in lower case.
