@@ -106,6 +106,7 @@ def test_the_policys_configuration_is_left_alone(policy: TrainConfig) -> None:
     [
         ("+stage=mount", "+stage=mount: a policy has its own stage; give suite=<name>"),
         ("+experiment=paper", "give the settings themselves"),
+        ("task=gait", "a policy has its own task; give suite=<name>, or success=<name> for the criterion and metrics"),
         ("start.z=[0,1]", "start.z"),
         ("start.x=[1,0]", "start.x"),
     ],
@@ -178,3 +179,10 @@ def test_variants_take_turns_and_an_episode_is_the_same_however_many_there_are(p
     assert shares == sorted(shares) and shares[-1] == (1.0, "b")
     with pytest.raises(ConfigError, match="episodes=0"):
         task.evaluate(0)
+
+
+def test_the_variants_of_a_suite_have_one_task() -> None:
+    mixed = SuiteConfig(name="mixed", stage="mount", variants={"a": [], "b": ["success=gait"]})
+    with pytest.raises(ConfigError) as error:
+        EvaluationTask.of(TrainedPolicy.load("pretrained:mount"), mixed)
+    assert str(error.value) == "suite.variants: success is gait and mount; the variants must have one task"
