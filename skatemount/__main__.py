@@ -6,6 +6,8 @@ import importlib
 import os
 import sys
 
+from skatemount.utils.terminal import safe_streams
+
 PROGRAMS = {
     "train": ("stage=balance", "train a stage (without one: which there are)"),
     "evaluate": ("checkpoint=pretrained:balance", "how often a policy succeeds"),
@@ -28,6 +30,7 @@ def help_text() -> str:
     return "\n".join(lines)
 
 
+@safe_streams()
 def main() -> None:
     """Run the program that the first argument names, with the rest of the command line."""
     # A script lies in another folder; with `python -m`, modules of the working directory can be imported.

@@ -37,14 +37,16 @@ def bench(config: BenchProgramConfig, overrides: list[str]) -> None:
     prepare_outputs(config.json, config.output)
     training = [o for o in overrides if o.lstrip("+~").split("=")[0].split(".")[0] not in NOT_TRAINING]
     measured = measure(config, training, lambda doing: print(f"measuring {doing}", flush=True))
-    print("", report.text(measured), sep="\n")
-    if config.output is not None:
-        picture = Path(config.output) / "bench.png"
-        report.draw(measured, picture)
-        print(f"written to {picture}")
+    written = []
     if config.json is not None:
-        atomic.write_text(Path(config.json), json.dumps(measured.to_dict(), indent=2) + "\n")
-        print(f"written to {config.json}")
+        written.append(Path(config.json))
+        atomic.write_text(written[-1], json.dumps(measured.to_dict(), indent=2) + "\n")
+    if config.output is not None:
+        written.append(Path(config.output) / "bench.png")
+        report.draw(measured, written[-1])
+    print("", report.text(measured), sep="\n")
+    for path in written:
+        print(f"written to {path}")
 
 
 def main() -> None:

@@ -7,28 +7,33 @@ import sys
 import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from skatemount.config import config_dir, one_line, set_user_config_dir, stages, suites
+from skatemount import multirun
+from skatemount.config import config_dir, set_user_config_dir, stages, suites
 from skatemount.config.compose import checked, plain
+from skatemount.config.messages import is_of_library, reason
 from skatemount.config.overrides import prepare
 from skatemount.config.versions import rename_override
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.quiet import ignore_torchrl_warnings
+from skatemount.utils.terminal import safe_streams
 
 
-def run(verb: Callable[[Any, list[str]], None], program: str) -> None:
+@safe_streams()
+def run(verb: Callable[..., float | None], program: str) -> None:
     """Compose the settings from the command line and run a verb on them; `-m` runs it once for each combination.
 
     A mistake in the settings ends the program with one line and status 2; ``SKATEMOUNT_TRACEBACK=1`` shows where it
-    came from.
+    came from. A job of a multirun that fails does not keep the others from running; the status is 1 then.
 
     Args:
-        verb: Takes the program's settings, a dataclass, and the overrides that led to them.
+        verb: Takes the program's settings, a dataclass, and the overrides that led to them; `skatemount.train.train`
+            takes its job of a multirun as well. Returns the success rate, if it measures one.
         program: Name of the program, and of its file in ``conf/``.
     """
     # Without this Hydra prints a screen of its own and ends the program itself.
@@ -38,16 +43,13 @@ def run(verb: Callable[[Any, list[str]], None], program: str) -> None:
     def fail(error: Exception) -> NoReturn:
         if os.environ.get("SKATEMOUNT_TRACEBACK"):
             raise error
-        if isinstance(error, OSError) and error.filename is not None:
-            text = f"{error.filename}: {error.strerror}"
-        else:
-            text = str(error) if isinstance(error, ConfigError) else one_line(error)
-        print(f"skatemount.{program}: {text}", file=sys.stderr)
+        print(f"skatemount.{program}: {reason(error)}", file=sys.stderr)
         sys.exit(2)
 
     @hydra.main(config_path=str(config_dir().absolute()), config_name=program, version_base="1.3")
     def application(composed: DictConfig) -> None:
         try:
+            multirun.check_folder()
             verb(checked(plain(composed), program), list(HydraConfig.get().overrides.task))
         except (ConfigError, FloatingPointError, OSError) as error:
             # Caught here because Hydra would print a line of its own first.
@@ -58,10 +60,14 @@ def run(verb: Callable[[Any, list[str]], None], program: str) -> None:
         if {"--help", "-h"} & set(sys.argv[1:]):
             print(help_text(program))
             return
-        sys.argv[1:] = _prepared(sys.argv[1:], program)
+        sys.argv[1:], settings = _prepared(sys.argv[1:], program)
+        if multirun.is_asked_for(sys.argv[1:]):
+            if multirun.run(verb, program, settings):
+                sys.exit(1)
+            return
         application()
     except Exception as error:
-        if isinstance(error, ConfigError | OSError) or _from_hydra(error):
+        if isinstance(error, ConfigError | OSError) or is_of_library(error):
             fail(error)
         raise
 
@@ -113,11 +119,16 @@ def prepare_outputs(json: str | None, output: str | None) -> None:
         Path(output).mkdir(parents=True, exist_ok=True)
 
 
-def _prepared(arguments: list[str], program: str) -> list[str]:
-    """Return the command line's arguments with the overrides among them in Hydra's form."""
-    result = []
+def _prepared(arguments: list[str], program: str) -> tuple[list[str], list[str]]:
+    """Return the command line's arguments with the overrides in Hydra's form, and these overrides alone."""
+    result: list[str] = []
+    settings: list[str] = []
     options_value = False
+    several = multirun.is_asked_for(arguments)
+    roots = [each for each in arguments if each.startswith("logger.root=")]
     for argument in arguments:
+        if not argument.isprintable() and argument != argument.encode(errors="replace").decode():
+            raise ConfigError(f"{argument}: not text in this locale; set LC_ALL to one with UTF-8, such as C.UTF-8")
         # Options such as --config-dir take the next argument.
         is_setting = not options_value and not argument.startswith("-")
         options_value = argument.startswith("-") and argument in _WITH_VALUE
@@ -128,13 +139,11 @@ def _prepared(arguments: list[str], program: str) -> list[str]:
         if today != argument:
             old, new = (each.lstrip("+~").partition("=")[0] for each in (argument, today))
             print(f"note: {old} is called {new} now", file=sys.stderr)
-        result += prepare([argument], program)
-    return result
+        # Paths may be relative to the folder of all runs.
+        settings.append(prepare([*roots, argument], program, several)[-1])
+        result.append(settings[-1])
+    return result, settings
 
 
 _WITH_VALUE = {"--config-path", "-cp", "--config-name", "-cn", "--config-dir", "-cd", "--cfg", "-c", "--package", "-p",
                "--info", "-i", "--experimental-rerun"}  # fmt: skip
-
-
-def _from_hydra(error: BaseException) -> bool:
-    return type(error).__module__.split(".")[0] in ("hydra", "omegaconf")

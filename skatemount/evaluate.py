@@ -14,9 +14,10 @@ if TYPE_CHECKING:
     from skatemount.config import EvaluateConfig
     from skatemount.evaluation.results import Evaluation
     from skatemount.evaluation.suite_task import EvaluationTask
+    from skatemount.runs.sweep import Score
 
 
-def evaluate(config: EvaluateConfig, overrides: list[str]) -> None:
+def evaluate(config: EvaluateConfig, overrides: list[str]) -> Score:
     """Evaluate a policy with deterministic actions, write the results, and print them.
 
     Settings: ``checkpoint`` (a run, a checkpoint, a file, ``latest``, ``best``, ``pretrained:NAME``), ``suite`` (null
@@ -28,6 +29,9 @@ def evaluate(config: EvaluateConfig, overrides: list[str]) -> None:
         config: Settings composed from the command line.
         overrides: The user's overrides.
 
+    Returns:
+        The success rate, of several suites that of all episodes together.
+
     Raises:
         ConfigError: There is no such policy or suite, or the policy does not fit the task.
     """
@@ -35,6 +39,7 @@ def evaluate(config: EvaluateConfig, overrides: list[str]) -> None:
     from skatemount.evaluation import report
     from skatemount.evaluation.suite_task import EvaluationTask
     from skatemount.runs.provenance import package_versions
+    from skatemount.runs.sweep import Score
 
     prepare_outputs(config.json, config.output)
     tasks = EvaluationTask.prepare(config, overrides)
@@ -64,6 +69,8 @@ def evaluate(config: EvaluateConfig, overrides: list[str]) -> None:
     for path in written:
         print(f"written to {path}")
     print(report.next_commands(film_commands(tasks, results)))
+    successes = sum(int(each.records.success.sum()) for each in results.values())
+    return Score.of(successes, sum(each.episodes for each in results.values()))
 
 
 def film_commands(tasks: Sequence[EvaluationTask], results: Mapping[str, Evaluation]) -> dict[str, str]:

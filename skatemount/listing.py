@@ -18,6 +18,7 @@ from skatemount.runs.shipped import PRETRAINED, shipped_file, shipped_policies
 from skatemount.utils.classes import ClassRegistry
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_count
+from skatemount.utils.terminal import safe_streams
 
 
 def _of_group(group: str) -> dict[str, str]:
@@ -156,6 +157,7 @@ def _table(rows: dict[str, str]) -> str:
     return "\n".join(f"{name:{width}}  {about}".rstrip() for name, about in rows.items())
 
 
+@safe_streams()
 def main() -> None:
     """Run the program."""
     try:

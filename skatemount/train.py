@@ -8,14 +8,22 @@ from skatemount.utils.signals import exiting_by_signals
 
 if TYPE_CHECKING:
     from skatemount.config import TrainConfig
+    from skatemount.evaluation.results import Evaluation
+    from skatemount.runs.sweep import Job, Score
+    from skatemount.training.trainer import Trainer
 
 
-def train(config: TrainConfig, overrides: list[str]) -> None:
+def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> Score:
     """Train a stage, or a chain of stages, and print the evaluated success of the final policy.
 
     Args:
         config: Every setting; with ``resume``, those that the run has saved count instead.
         overrides: What the user asked for.
+        job: The job of a multirun, whose run lies in the sweep's folder. A run of it that was cut off resumes.
+
+    Returns:
+        The success rate of the final evaluation, or else of the last one during the training; see
+        `skatemount.training.score.score_of`.
 
     Raises:
         ConfigError: No stage, or a setting that cannot be used.
@@ -24,29 +32,72 @@ def train(config: TrainConfig, overrides: list[str]) -> None:
     from skatemount.evaluation import report
     from skatemount.training.chain import chain_to_train
     from skatemount.training.resume import resume_config
+    from skatemount.training.score import save_evaluation, score_of
     from skatemount.training.trainer import Trainer, next_commands
     from skatemount.utils.errors import ConfigError
 
-    chain = chain_to_train(config, overrides)
+    sweep = None
+    if job is not None and config.resume is None:
+        sweep = job.sweep
+        config, overrides = _of_job(config, job)
+    goes_on = sweep is not None and config.resume is not None
+    chain = chain_to_train(config, overrides, sweep=sweep)
     if chain is not None:
         print(f"run: {chain.run.path}", flush=True)
-        chain.train()
+        if not (goes_on and all(chain.ended(place) for place in range(len(chain.parts)))):
+            chain.train()
         print(f"run: {chain.run.path}\n{next_commands(chain.run)}")
-        return
+        return score_of(chain.run)
     if config.resume is None and not config.stage.name:
         listed = "; ".join(f"{name} ({about})" for name, about in stages().items())
         raise ConfigError(
             f"no stage: give stage=<name>, or curriculum=paper for a chain of stages. There are: {listed}"
         )
-    trainer = Trainer(resume_config(config, overrides), overrides)
+    trainer = Trainer(resume_config(config, overrides), overrides, sweep if config.resume is None else None)
     print(trainer.describe(), flush=True)
     try:
-        result = trainer.train()
+        result = _final_evaluation(trainer) if goes_on and _has_ended(trainer) else trainer.train()
     finally:
         trainer.close()
     if result is not None:
+        save_evaluation(trainer.run, result, trainer.frames)
         print(report.table(result))
     print(f"run: {trainer.run.path}\n{next_commands(trainer.run)}")
+    return score_of(trainer.run)
+
+
+def _of_job(config: TrainConfig, job: Job) -> tuple[TrainConfig, list[str]]:
+    """Return the settings and overrides of a job of a multirun: those of its run that was cut off, or of a new one."""
+    from skatemount.runs import atomic
+    from skatemount.runs.folder import RunFolder
+
+    started = job.cut_off_run()
+    if started is not None and RunFolder(started).latest is None:
+        # It was stopped before its first checkpoint.
+        atomic.remove_folder(started)
+        started = None
+    if started is None:
+        config.logger.name = job.free_name()
+        return config, job.overrides
+    print(f"resumes {started}", flush=True)
+    config.resume = str(started)
+    # The run has saved these settings.
+    return config, [each for each in job.overrides if each.startswith("plugins=")]
+
+
+def _has_ended(trainer: Trainer) -> bool:
+    """Return whether nothing but the final evaluation is left of a training that resumes."""
+    from skatemount.runs.checkpoint import read_card
+    from skatemount.training.callbacks import gate_reached
+
+    latest = trainer.run.latest
+    assert latest is not None
+    return trainer.stopping or gate_reached(trainer.config.stage.gate, read_card(latest).metrics)
+
+
+def _final_evaluation(trainer: Trainer) -> Evaluation | None:
+    episodes = trainer.config.logger.final_episodes
+    return trainer.evaluate(episodes) if episodes else None
 
 
 def main() -> None:

@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = [
     {"train", "evaluate", "record", "bench", "listing", "robot_spec", "__main__"},
     {"cli"},
+    {"multirun"},
     {"profiling"},
     {"training"},
     {"rendering"},

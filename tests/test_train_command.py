@@ -107,7 +107,9 @@ def test_multirun_makes_a_run_a_combination(runs_root: Path) -> None:
         timeout=300,
     )
     assert done.returncode == 0, done.stderr
-    made = [RunFolder.open(path) for path in sorted((runs_root / "skatemount").iterdir())]
+    (sweep,) = (runs_root / "skatemount").iterdir()
+    names = ["stage=balance,seed=0", "stage=balance,seed=1", "stage=mount,seed=0", "stage=mount,seed=1"]
+    made = [RunFolder.open(sweep / name) for name in names]
     assert sorted((m.config["stage"]["name"], m.config["seed"]) for m in made) == [
         ("balance", 0),
         ("balance", 1),

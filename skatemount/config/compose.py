@@ -67,8 +67,21 @@ def compose_program(program: str, overrides: Sequence[str]) -> TaskConfig:
     Raises:
         ConfigError: An unknown setting or value.
     """
+    return checked(composed_values(program, overrides), program)
+
+
+def composed_values(program: str, overrides: Sequence[str]) -> dict[str, Any]:
+    """Compose the settings of one of the programs as plain values, without checking them.
+
+    Args:
+        program: A key of `PROGRAMS`.
+        overrides: Settings as on the command line.
+
+    Raises:
+        ConfigError: An unknown setting or choice.
+    """
     values = _composed(program, tuple([*_search_path(), *prepare(overrides, program)]), _fingerprint())
-    return checked(copy.deepcopy(values), program)
+    return copy.deepcopy(values)
 
 
 @functools.lru_cache(maxsize=64)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from skatemount.utils.errors import ConfigError
+
 
 def one_line(error: BaseException) -> str:
     """Return the message of an error of Hydra or OmegaConf, without the lines about their insides."""
@@ -39,3 +41,18 @@ def one_line(error: BaseException) -> str:
             text += f" ({keys[0]})"
         said.append(text)
     return ": ".join(said)
+
+
+def reason(error: BaseException) -> str:
+    """Return the message of any error in one line, with the file if it is about one."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    text = str(error) if isinstance(error, ConfigError) else one_line(error)
+    if isinstance(error, ConfigError | OSError | FloatingPointError) or is_of_library(error):
+        return text
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def is_of_library(error: BaseException) -> bool:
+    """Return whether an error comes from what composes settings and starts jobs, whose messages are for users."""
+    return type(error).__module__.split(".")[0] in ("hydra", "hydra_plugins", "omegaconf", "joblib")

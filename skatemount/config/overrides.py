@@ -6,6 +6,9 @@ import re
 import typing
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+
+from hydra.core.override_parser.types import Quote, QuotedString
 
 from skatemount.config.files import choices, groups
 from skatemount.config.keys import is_known, keys, table_of, unknown
@@ -14,6 +17,28 @@ from skatemount.config.versions import rename_override
 from skatemount.utils.errors import ConfigError
 
 _WHOLE_FLOAT = re.compile(r"[+-]?\d[\d_]*(\.\d*)?[eE]\+?\d+|[+-]?\d[\d_]*\.0*")
+
+_TEXTS = frozenset(
+    [
+        "checkpoint",
+        "init_from",
+        "json",
+        "logger.experiment",
+        "logger.name",
+        "logger.root",
+        "output",
+        "pipeline",
+        "resume",
+    ]
+)
+"""Settings whose values are paths and names, which are taken as they are typed, whatever Hydra's grammar says."""
+
+_SAME_IN_HYDRA = re.compile(
+    r"(?!(true|false|inf|nan)$)(\.{0,2}/)*[A-Za-z_][A-Za-z0-9_./:+-]*", re.IGNORECASE | re.ASCII
+)
+_QUOTED = re.compile(r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*\"""")
+_PIECE = re.compile(rf"\s*(?:{_QUOTED.pattern}|[^,]*)\s*")
+_SWEEP_FUNCTION = re.compile(r"(choice|glob|range|interval|shuffle|sort|tag)\(.*\)")
 
 
 @dataclass(frozen=True)
@@ -45,12 +70,13 @@ class Override:
         return self.key.partition("@")[0]
 
 
-def prepare(overrides: Sequence[str], program: str) -> list[str]:
+def prepare(overrides: Sequence[str], program: str, multirun: bool = False) -> list[str]:
     """Return overrides in Hydra's form, under today's names.
 
     Args:
         overrides: As the user wrote them.
         program: The program that they are for.
+        multirun: A comma in a path or name separates values, unless the whole is a file or folder that exists.
 
     Returns:
         As many overrides. ``+stage=x`` becomes ``stage=x``, as the group is in the defaults list; a row that is not
@@ -59,7 +85,62 @@ def prepare(overrides: Sequence[str], program: str) -> list[str]:
     Raises:
         ConfigError: A setting or choice that does not exist; the message says what is near.
     """
-    return [_prepared(Override.parse(rename_override(each)), each, program) for each in overrides]
+    parsed = [Override.parse(rename_override(each)) for each in overrides]
+    roots = [each.value for each in parsed if each.key == "logger.root" and each.value]
+    folders = [Path(), Path(roots[-1] if roots else "runs")]
+    prepared = []
+    for override, written in zip(parsed, overrides):
+        if override.key in _TEXTS and override.value and is_known(PROGRAMS[program], override.key):
+            value = _text(override.value, folders if multirun else None)
+            prepared.append(f"{override.prefix}{override.key}={value}")
+        else:
+            prepared.append(_prepared(override, written, program))
+    return prepared
+
+
+def hydra_text(text: str) -> str:
+    """Return a text in quotes, so that Hydra reads it as it is."""
+    return QuotedString(text, Quote.single).with_quotes()
+
+
+def _text(value: str, folders: Sequence[Path] | None) -> str:
+    """Return a path or name in Hydra's form.
+
+    Args:
+        value: As the user typed it. Quotes around all of it, and references such as ``${oc.env:HOME}``, are Hydra's.
+        folders: Folders that a path may be relative to, in a multirun; None elsewhere.
+    """
+    if value == "null" or "${" in value or _SAME_IN_HYDRA.fullmatch(value) or _QUOTED.fullmatch(value):
+        return value
+    if folders is not None and not any(_exists(folder / value) for folder in folders):
+        if _SWEEP_FUNCTION.fullmatch(value):
+            return value
+        pieces = [piece.strip() for piece in _split(value)]
+        if len(pieces) > 1:
+            return ",".join(_text(piece, None) for piece in pieces)
+    return hydra_text(value)
+
+
+def _exists(path: Path) -> bool:
+    """Return whether a path exists, or is a run's best or latest checkpoint by its pointer."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
+def _split(value: str) -> list[str]:
+    """Return the values that commas outside of quotes separate."""
+    pieces, at = [], 0
+    while at <= len(value):
+        match = _PIECE.match(value, at)
+        assert match is not None
+        if match.end() < len(value) and value[match.end()] != ",":
+            # A quote in the middle of a name.
+            return value.split(",")
+        pieces.append(match[0])
+        at = match.end() + 1
+    return pieces
 
 
 def _prepared(override: Override, written: str, program: str) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from skatemount.runs.checkpoint import is_checkpoint, list_checkpoints
 from skatemount.runs.folder import POINTERS, RunFolder, age_key, follow, is_run
 from skatemount.runs.shipped import PRETRAINED, shipped_file, shipped_policies
+from skatemount.runs.sweep import is_sweep
 from skatemount.utils.errors import ConfigError
 
 
@@ -53,6 +54,9 @@ def find_checkpoint(spec: str, root: Path | str = Path("runs"), setting: str = "
             return _of_run(path, "latest", f"{setting}={spec!r}")
         if path.name in POINTERS and is_run(path.parent):
             return _of_run(path.parent, path.name, f"{setting}={spec!r}")
+        if is_sweep(path):
+            runs = [str(run) for run in sorted(path.iterdir()) if is_run(run)]
+            raise ConfigError(f"{setting}={spec!r}: a sweep; name one of its runs: {_choices(runs)}")
     names = [str(run) for run in itertools.islice(_runs_with_checkpoints(root), 3)]
     raise ConfigError(f"{setting}={spec!r}: not found; there is {_choices([*names, *shipped_policies()])}")
 
@@ -88,7 +92,9 @@ def _newest_run(root: Path) -> Path | None:
 
 
 def _runs_with_checkpoints(root: Path) -> Iterator[Path]:
-    runs = sorted(filter(is_run, root.glob("*/*")), key=age_key, reverse=True)
+    folders = list(root.glob("*/*"))
+    folders += [run for folder in filter(is_sweep, folders) for run in folder.glob("*")]
+    runs = sorted(filter(is_run, folders), key=age_key, reverse=True)
     return (run for run in runs if RunFolder(run).latest is not None)
 
 

@@ -5,13 +5,14 @@ names a checkpoint folder relative to the run; `<root>/latest` names the newest 
 the root. They are files, not links, so that they survive copying and work on every system.
 
 A run may consist of parts (`1_gait`, `2_balance`, …), each a run folder in it: its latest and best checkpoint are those
-of the last part that has one.
+of the last part that has one. The runs of a sweep lie one level deeper, see `skatemount.runs.sweep`.
 """
 
 from __future__ import annotations
 
 import datetime
 import itertools
+import json
 import math
 import re
 from collections.abc import Iterator
@@ -26,11 +27,14 @@ from skatemount.runs import atomic
 from skatemount.runs.checkpoint import is_checkpoint, list_checkpoints, step_folder
 from skatemount.runs.metrics import OLD_SUFFIX
 from skatemount.runs.provenance import environment_report, git_report
+from skatemount.runs.sweep import JOB_FILE, is_sweep
 from skatemount.utils.errors import ConfigError
 
 POINTERS = ("latest", "best")
 
-_NAME = re.compile(r"[\w][\w.,=+-]*")
+MAX_NAME = 200
+"""Bytes of a run's name; file systems allow 255, and the time is added to it."""
+
 _PART = re.compile(r"(\d+)_.+")
 _RUN_NAME = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_.+")
 
@@ -81,6 +85,14 @@ class RunFolder:
             break
         _note(path, config_text, overrides)
         return cls(path, Path(root))
+
+    @classmethod
+    def create_at(cls, path: Path, root: Path, config: dict, overrides: list[str]) -> RunFolder:
+        """Create a run in a folder of a given name; arguments and errors are those of `create`."""
+        config_text = _yaml(config)
+        path.mkdir(parents=True)
+        _note(path, config_text, overrides)
+        return cls(path, root)
 
     def create_part(self, name: str, config: dict, overrides: list[str]) -> RunFolder:
         """Create a part of this run, a folder in it; arguments and errors are those of `create`."""
@@ -203,7 +215,8 @@ class RunFolder:
     def _mark_run(self) -> None:
         """Point `<root>/latest` at this run, or the one it is a part of, unless a newer one has a checkpoint."""
         run = self.parent or self
-        root = run.path.absolute().parent.parent
+        folder = run.path.absolute().parent
+        root = folder.parent.parent if is_sweep(folder) else folder.parent
         # A run that was opened may have been moved to any place, where a pointer beside it would be litter.
         if run._root is None and not (root / "latest").is_file():
             return
@@ -240,8 +253,16 @@ def is_run(path: Path) -> bool:
 
 
 def age_key(run: Path) -> tuple[str, str]:
-    """Return a sort key: the time in the run's name, then the name; renamed runs are the oldest."""
-    return ("", run.name) if _RUN_NAME.fullmatch(run.name) is None else (run.name[:19], run.name)
+    """Return a sort key: the time in the run's name, then the name; renamed runs are the oldest.
+
+    A run of a sweep has no time in its name but in a file.
+    """
+    if _RUN_NAME.fullmatch(run.name):
+        return run.name[:19], run.name
+    try:
+        return str(json.loads((run / JOB_FILE).read_bytes())["started"]), run.name
+    except (OSError, ValueError, KeyError, TypeError):
+        return "", run.name
 
 
 def follow(pointer: Path) -> Path | None:
@@ -255,8 +276,12 @@ def follow(pointer: Path) -> Path | None:
 
 
 def _check_name(setting: str, value: str) -> None:
-    if not _NAME.fullmatch(value):
-        raise ConfigError(f"{setting}={value!r}: letters, digits and . , = + - _ make a folder name")
+    fits = 0 < len(value.encode("utf-8", "replace")) <= MAX_NAME and value.isprintable() and value.strip() == value
+    if not fits or "/" in value or "\\" in value or value.startswith("."):
+        raise ConfigError(
+            f"{setting}={value!r} must be the name of one folder: printable characters without / and \\, at most "
+            f"{MAX_NAME} bytes, no dot or blank in front, no blank at the end"
+        )
 
 
 def _yaml(config: dict) -> str:

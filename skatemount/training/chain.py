@@ -24,9 +24,11 @@ from skatemount.runs.checkpoint import load_training_state, read_card
 from skatemount.runs.find import find_checkpoint, is_own_run
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.serialization import parse_json
+from skatemount.runs.sweep import SweepFolder
 from skatemount.training.callbacks import Callback, gate_reached
 from skatemount.training.plots import plot_chain
 from skatemount.training.resume import apply_resume_overrides
+from skatemount.training.score import save_evaluation
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_count
@@ -106,13 +108,20 @@ class Chain:
         self._evaluated: dict[str, dict[str, Any]] = {}
 
     @classmethod
-    def begin(cls, config: TrainConfig, overrides: list[str], callbacks: Sequence[Callback] = ()) -> Chain:
+    def begin(
+        cls,
+        config: TrainConfig,
+        overrides: list[str],
+        callbacks: Sequence[Callback] = (),
+        sweep: SweepFolder | None = None,
+    ) -> Chain:
         """Compose the settings of every stage, and create the run folder.
 
         Args:
             config: As composed from the command line, with ``+curriculum=<a chain>``.
             overrides: The overrides of the command line; all but the curriculum's own apply to every stage.
             callbacks: As for `Chain`.
+            sweep: The sweep that the run belongs to, if any; its folder there is named ``logger.name``.
 
         Raises:
             ConfigError: A setting that cannot be used in one of the stages.
@@ -123,13 +132,11 @@ class Chain:
             stages[name].stage.gate, stages[name].stage.renormalize = link.gate, link.renormalize
             stages[name].logger.name = f"{i}_{name}"
         logger = config.logger
-        run = RunFolder.create(
-            logger.root,
-            logger.experiment,
-            logger.name or config.curriculum.name,
-            configuration.to_dict(config),
-            overrides,
-        )
+        name, values = logger.name or config.curriculum.name, configuration.to_dict(config)
+        if sweep is None:
+            run = RunFolder.create(logger.root, logger.experiment, name, values, overrides)
+        else:
+            run = sweep.create_part(name, values, overrides)
         saved = {name: configuration.to_dict(stage) for name, stage in stages.items()}
         # Settings files may change before the chain is through.
         atomic.write_text(run.path / CONFIGS_FILE, yaml.safe_dump(saved, sort_keys=False, allow_unicode=True))
@@ -228,6 +235,7 @@ class Chain:
         finally:
             trainer.close()
         if result is not None:
+            save_evaluation(trainer.run, result, trainer.frames)
             self._evaluated[part.name] = {
                 "episodes": result.episodes,
                 **result.to_dict(failed_episodes=False)["success"],
@@ -272,19 +280,27 @@ class Chain:
             plot_chain(tables, self.run.curves_png, self.run.path.name)
 
 
-def chain_to_train(config: TrainConfig, overrides: Sequence[str], callbacks: Sequence[Callback] = ()) -> Chain | None:
+def chain_to_train(
+    config: TrainConfig,
+    overrides: Sequence[str],
+    callbacks: Sequence[Callback] = (),
+    sweep: SweepFolder | None = None,
+) -> Chain | None:
     """Return the chain that the command line asks for, new or resumed; None if it asks for a single stage.
 
     Args:
         config: As composed from the command line.
         overrides: The overrides of the command line.
         callbacks: As for `Chain`.
+        sweep: As for `Chain.begin`.
 
     Raises:
         ConfigError: A setting that cannot be used, or a checkpoint from which a chain cannot resume.
     """
     if config.resume is None:
-        return Chain.begin(config, list(overrides), callbacks) if config.curriculum.kind == "stages" else None
+        if config.curriculum.kind != "stages":
+            return None
+        return Chain.begin(config, list(overrides), callbacks, sweep)
     found = find_checkpoint(config.resume, Path(config.logger.root), setting="resume")
     run = RunFolder.open(found, setting="resume")
     if run.parent is None:

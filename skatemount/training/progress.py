@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 import time
 from collections.abc import Sequence
 
@@ -14,6 +16,15 @@ from rich.table import Table
 
 from skatemount.envs.tasks import Metric
 from skatemount.utils.formatting import format_count, format_duration
+
+
+def _console() -> Console:
+    """Return standard output as a console that is interactive only if it is a terminal whose cursor can move.
+
+    Rich alone would take FORCE_COLOR, which build machines set, for a terminal, and write cursor codes into log files.
+    """
+    moves = os.environ.get("TERM", "").lower() not in ("dumb", "unknown")
+    return Console(force_terminal=moves and sys.stdout.isatty())
 
 
 class Progress:
@@ -42,7 +53,7 @@ class Progress:
         self._title = title
         self._every_s = every_s
         self._initial = initial_frames
-        self._console = console or Console()
+        self._console = console or _console()
         self._started = time.monotonic()
         self._task_metrics = metrics
         self._metrics: dict[str, float] = {}

@@ -34,6 +34,7 @@ from skatemount.models.symmetry import Reflection
 from skatemount.runs import checkpoint
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
+from skatemount.runs.sweep import SweepFolder
 from skatemount.training.callbacks import Callback, arrange_callbacks, make_callbacks
 from skatemount.training.memory import RestoredMemory, memory_after
 from skatemount.training.progress import Progress
@@ -80,7 +81,8 @@ class Trainer:
     Args:
         config: Every setting.
         overrides: The overrides of the command line, which the run folder keeps.
-        parent: The run that this one becomes a part of, in a folder named ``logger.name``; a run of its own if none.
+        parent: The run or sweep that this one becomes a part of, in a folder named ``logger.name``; a run of its own if
+            none.
         callbacks: Callbacks that run in addition to the default ones and those that the settings name; see
             `skatemount.training.callbacks`. One that is a subclass of a default one, such as `EvaluationCallback`,
             replaces it.
@@ -105,7 +107,7 @@ class Trainer:
         self,
         config: TrainConfig,
         overrides: list[str] | None = None,
-        parent: RunFolder | None = None,
+        parent: RunFolder | SweepFolder | None = None,
         callbacks: Iterable[Callback] = (),
     ):
         self.config = config

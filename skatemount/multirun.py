@@ -1,0 +1,216 @@
+"""Multiruns (`-m`): one job for each combination of settings, whatever becomes of the others."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import DictConfig
+
+from skatemount import config as configuration
+from skatemount.config.compose import checked, composed_values, plain
+from skatemount.config.messages import is_of_library, reason
+from skatemount.config.overrides import hydra_text
+from skatemount.evaluation import sweep_report
+from skatemount.runs import atomic
+from skatemount.runs.sweep import RESULTS_FILE, Job, SweepFolder, key_of, open_sweep
+from skatemount.utils.errors import ConfigError
+from skatemount.utils.quiet import ignore_torchrl_warnings
+from skatemount.utils.terminal import safe_streams
+
+TRAIN = "train"
+"""The program whose jobs resume, and have folders of their own."""
+
+FAILED_SCORE = 0.0
+"""Score of a job that failed, for the sweeper: the least success rate."""
+
+_OURS = ("hydra.sweep.dir", "hydra.sweep.subdir")
+
+
+def is_asked_for(arguments: Sequence[str]) -> bool:
+    """Return whether a command line asks for a multirun."""
+    options = ("-m", "--multirun")
+    return any(each in options or each.lstrip("+") == "hydra.mode=MULTIRUN" for each in arguments)
+
+
+def run(verb: Callable[..., float | None], program: str, settings: Sequence[str]) -> bool:
+    """Run a verb once for each combination of settings, write and print the table of results.
+
+    Args:
+        verb: As for `skatemount.cli.run`.
+        program: Name of the program.
+        settings: The settings on the command line in Hydra's form, which ``sys.argv`` has as well.
+
+    Returns:
+        True if a job failed.
+
+    Raises:
+        ConfigError: A setting that cannot be used in any job.
+    """
+    for each in settings:
+        if key_of(each) in _OURS:
+            raise ConfigError(f"{each}: the folder of a multirun is chosen by logger.root and logger.experiment")
+    parent, name = _place(program, settings)
+    options = configuration.config_dir_options()
+    with open_sweep(parent, name, program, [*options, *settings], repeat=program != TRAIN) as sweep:
+        sweep.config_dir = options[-1] if options else None
+        sys.argv[1:] = [*sys.argv[1:], f"hydra.sweep.dir={hydra_text(str(sweep.path))}"]
+        if program == TRAIN:
+            again = "; jobs that have finished are skipped, logger.experiment=<another> starts afresh"
+            print(f"sweep: {sweep.path}{again if sweep.is_old else ''}", flush=True)
+        application = hydra.main(str(configuration.config_dir().absolute()), program, version_base="1.3")
+        try:
+            application(_Task(verb, sweep))()
+        finally:
+            failed = _finish(sweep)
+    return failed
+
+
+def check_folder() -> None:
+    """Raise `ConfigError` if Hydra has changed the working directory, to which the paths in settings are relative."""
+    if HydraConfig.get().job.chdir:
+        raise ConfigError(
+            "hydra.job.chdir=true: the paths of runs and results are relative to the folder where the command starts; "
+            "leave it out, and change to another folder before"
+        )
+
+
+@dataclass
+class _Task:
+    """The task function of all jobs. Launchers may send it to other processes.
+
+    Attributes:
+        verb: As for `run`.
+        sweep: The sweep.
+        process: The process that began the sweep.
+    """
+
+    verb: Callable[..., float | None]
+    sweep: SweepFolder
+    process: int = 0
+
+    def __post_init__(self) -> None:
+        self.process = os.getpid()
+
+    def __call__(self, composed: DictConfig) -> float | None:
+        """Run one job, and keep how it ended.
+
+        Args:
+            composed: Its settings.
+
+        Returns:
+            Its score, for the sweeper.
+        """
+        elsewhere = os.getpid() != self.process
+        if elsewhere:
+            ignore_torchrl_warnings()
+            configuration.set_user_config_dir(self.sweep.config_dir)
+        with safe_streams(live=not elsewhere):
+            state = HydraConfig.get()
+            job = self.sweep.job(int(state.job.num) + 1, list(state.overrides.task))
+            return self._run(composed, job)
+
+    def _run(self, composed: DictConfig, job: Job) -> float | None:
+        program = self.sweep.program
+        record = job.record()
+        if program == TRAIN and record is not None and record["status"] == "finished":
+            print(f"{job.describe()}: has finished before, skipped", flush=True)
+            return None if record["success"] is None else float(record["success"])
+        again = f"; repeated, it failed before: {record['error']}" if record is not None else ""
+        print(f"{job.describe()}{again}", flush=True)
+        try:
+            check_folder()
+            config = checked(plain(composed), program)
+            if program == TRAIN:
+                score = self.verb(config, job.overrides, job)
+            else:
+                separate_files(config, job)
+                score = self.verb(config, job.overrides)
+        except Exception as error:
+            if os.environ.get("SKATEMOUNT_TRACEBACK") or not _is_for_users(error):
+                traceback.print_exc()
+            text = reason(error)
+            job.write_record(None, text, job.cut_off_run() if program == TRAIN else None)
+            print(_failed(program, job.describe(), text), file=sys.stderr, flush=True)
+            return FAILED_SCORE
+        job.write_record(score)
+        return None if score is None else float(score)
+
+
+def separate_files(config: Any, job: Job) -> None:
+    """Let the jobs of a multirun write files of their own.
+
+    Args:
+        config: Settings of a job, changed in place: ``json=r.json`` becomes ``r_suite=far.json``, ``output=results``
+            becomes ``results/suite=far``, unless the command line gives each job another one.
+        job: The job.
+    """
+    if not job.settings:
+        return
+    for name in ("json", "output"):
+        value = getattr(config, name, None)
+        if value is None or name in job.settings:
+            continue
+        path = Path(value)
+        path = path / job.label if name == "output" else path.with_name(f"{path.stem}_{job.label}{path.suffix}")
+        setattr(config, name, str(path))
+
+
+def _place(program: str, settings: Sequence[str]) -> tuple[Path, str]:
+    """Return the folder for a sweep, and its name."""
+    firsts = []
+    for each in settings:
+        key = key_of(each)
+        if key.startswith(("hydra.", "hydra/")):
+            continue
+        (override,) = OverridesParser.create().parse_overrides([each])
+        if not override.is_sweep_override():
+            firsts.append(each)
+        elif program == TRAIN and key in ("logger.root", "logger.experiment"):
+            raise ConfigError(f"{each}: all jobs of a multirun share their folder; give one value")
+        # Other settings that differ do not decide about the folder.
+    values = composed_values(program, firsts)["logger"]
+    if program == TRAIN:
+        return Path(values["root"]) / values["experiment"], values["name"] or "sweep"
+    return Path(values["root"]) / "multirun", program
+
+
+def _finish(sweep: SweepFolder) -> bool:
+    """Write and print the results of a sweep, and return whether a job failed."""
+    records = sweep.records()
+    if not records:
+        return False
+    path = sweep.path / RESULTS_FILE
+    document = {"program": sweep.program, **sweep_report.document(records)}
+    atomic.write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
+    print(f"\n{sweep_report.text(records)}\n\nwritten to {path}")
+    best = sweep_report.best(records)
+    if sweep.program == TRAIN and best is not None and best["run"] is not None:
+        checkpoint = f"checkpoint={sweep.path / best['run']}"
+        print(f"best: {shlex.join(['python', '-m', 'skatemount.evaluate', checkpoint])}")
+    sys.stdout.flush()
+    failed = [record for record in records if record["status"] == "failed"]
+    for record in failed:
+        told = sweep.job(record["number"], record["overrides"]).describe()
+        print(_failed(sweep.program, told, record["error"]), file=sys.stderr)
+    if sweep.total is not None and len(records) < sweep.total:
+        print(f"{sweep.total - len(records)} of {sweep.total} jobs have not ended", file=sys.stderr)
+    return bool(failed)
+
+
+def _failed(program: str, job: str, error: str) -> str:
+    return f"skatemount.{program}: {job}: failed: {error}"
+
+
+def _is_for_users(error: Exception) -> bool:
+    return isinstance(error, ConfigError | FloatingPointError | OSError) or is_of_library(error)

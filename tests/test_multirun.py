@@ -1,0 +1,257 @@
+"""Multiruns: every job runs, whatever becomes of the others."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tiny import BATCH, TINY
+
+from skatemount import cli, multirun
+from skatemount.multirun import separate_files
+from skatemount.runs.find import find_checkpoint
+from skatemount.runs.folder import RunFolder
+from skatemount.runs.sweep import Job, Score, SweepFolder
+from skatemount.train import train
+from skatemount.training.callbacks import CheckpointCallback
+from skatemount.training.trainer import Trainer
+from skatemount.utils.errors import ConfigError
+
+pytestmark = pytest.mark.usefixtures("torch_as_it_was")
+
+Verb = Callable[..., Any]
+
+
+def scores(config: Any, overrides: list[str], job: Job | None = None) -> float:
+    """Stands for a training: its success is a tenth of the seed."""
+    if config.seed == 7:
+        raise ZeroDivisionError("seven")
+    print(f"works on {config.seed}", flush=True)
+    return Score.of(config.seed, 10, frames=1000)
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], runs_root: Path) -> Callable[..., Any]:
+    """Calls a program with arguments; returns status, output and error output."""
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
+
+    def call(verb: Verb, *arguments: str, program: str = "train") -> tuple[Any, str, str]:
+        monkeypatch.setattr(sys, "argv", [program, *arguments])
+        status: Any = 0
+        try:
+            cli.run(verb, program)
+        except SystemExit as error:
+            status = error.code
+        out, err = capfd.readouterr()
+        return status, out, err
+
+    return call
+
+
+def sweeps(runs_root: Path) -> list[Path]:
+    return sorted((runs_root / "skatemount").iterdir())
+
+
+def test_a_failing_job_does_not_end_the_others(command: Callable[..., Any], runs_root: Path) -> None:
+    arguments = ["-m", "stage=balance", "physics.num_worlds=8,0", "seed=1,2"]
+    status, out, err = command(scores, *arguments)
+    assert status == 1
+    assert out.count("works on") == 2 and "job 2 of 4: physics.num_worlds=8 seed=2\n" in out
+    reason = "physics.num_worlds=0 seed=1: failed: physics.num_worlds=0 must be at least 1"
+    assert err.splitlines()[-2] == f"skatemount.train: job 3 of 4: {reason}"
+    assert "Traceback" not in err
+    (sweep,) = sweeps(runs_root)
+    document = json.loads((sweep / "results.json").read_text())
+    assert [job["status"] for job in document["jobs"]] == ["finished", "finished", "failed", "failed"]
+    assert document["jobs"][1]["success"] == 0.2 and document["jobs"][1]["low"] < 0.2 < document["jobs"][1]["high"]
+    assert document["over_seeds"][0] == {
+        "settings": {"physics.num_worlds": "8"}, "seeds": 2, "finished": 2, "mean": pytest.approx(0.15),
+        "least": 0.1, "greatest": 0.2,
+    }  # fmt: skip
+    assert (sweep / "multirun.yaml").is_file() and "15.0%" in out
+    assert f"sweep: runs/skatemount/{sweep.name}\n" in out
+
+    # The same command again: nothing is left but what failed.
+    status, out, err = command(scores, *arguments)
+    assert (status, sweeps(runs_root)) == (1, [sweep])
+    assert out.count("works on") == 0 and out.count("has finished before, skipped") == 2
+    assert "repeated, it failed before: physics.num_worlds=0 must be at least 1" in out
+
+
+def test_an_unexpected_error_is_shown_and_the_others_run(command: Callable[..., Any]) -> None:
+    status, out, err = command(scores, "-m", "stage=balance", "seed=7,2")
+    assert status == 1 and "works on 2" in out
+    assert "Traceback" in err and err.endswith("job 1 of 2: seed=7: failed: ZeroDivisionError: seven\n")
+
+
+def test_every_command_and_every_start_afresh_has_its_folder(command: Callable[..., Any], runs_root: Path) -> None:
+    command(scores, "-m", "stage=balance", "seed=1,2")
+    command(scores, "-m", "stage=balance", "seed=1,2,3")
+    assert len(sweeps(runs_root)) == 2
+    command(scores, "-m", "stage=balance", "seed=1,2", "torch_threads=1")  # trains the same
+    assert len(sweeps(runs_root)) == 2
+    _, out, _ = command(scores, "-m", "stage=balance", "seed=1,2", "logger.experiment=other")
+    assert out.count("works on") == 2 and len(list((runs_root / "other").iterdir())) == 1
+
+
+def test_a_mistake_in_all_jobs_leaves_no_folder(command: Callable[..., Any], runs_root: Path) -> None:
+    for arguments, said in [
+        (["stage=balance,mouunt"], "there is no stage mouunt"),
+        (["stage=balance", "logger.experiment=a,b"], "logger.experiment=a,b: all jobs of a multirun share"),
+        (["stage=balance", "hydra.sweep.dir=x"], "hydra.sweep.dir=x: the folder of a multirun is chosen by"),
+        (["stage=balance", "seed=1,"], "seed=1,"),
+        (["stage=balance", "hydra.launcher.n_jobs=2"], "n_jobs"),
+    ]:
+        status, out, err = command(scores, "-m", *arguments)
+        assert status == 2 and said in err and err.count("\n") == 1, err
+        assert list(runs_root.glob("*/*")) == []
+
+
+def test_the_working_directory_stays(command: Callable[..., Any], runs_root: Path) -> None:
+    status, _, err = command(scores, "stage=balance", "hydra.job.chdir=true")
+    assert status == 2 and err.startswith("skatemount.train: hydra.job.chdir=true: ") and err.count("\n") == 1
+    status, _, err = command(scores, "-m", "stage=balance", "seed=1,2", "hydra.job.chdir=true")
+    assert status == 1 and err.count("hydra.job.chdir=true: ") == 4 and "Traceback" not in err
+    assert sorted(p.name for p in runs_root.parent.iterdir()) == ["runs"]
+
+
+def test_jobs_in_processes_of_their_own(command: Callable[..., Any], runs_root: Path) -> None:
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    here = os.getpid()
+
+    def elsewhere(config: Any, overrides: list[str], job: Any) -> float:
+        if config.seed == 1:
+            raise ValueError("one")
+        return type(job.sweep).__module__ == "skatemount.runs.sweep" and float(os.getpid() != here)
+
+    arguments = ["-m", "stage=balance", "seed=1,2,3", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+    status, out, err = command(elsewhere, *arguments)
+    assert status == 1 and "job 2 of 3: seed=2\n" in out, err
+    assert err.endswith("skatemount.train: job 1 of 3: seed=1: failed: ValueError: one\n")
+    (sweep,) = sweeps(runs_root)
+    assert [json.loads(file.read_text())["status"] for file in sorted((sweep / "jobs").iterdir())] == [
+        "failed", "finished", "finished",
+    ]  # fmt: skip
+    # The launcher does not matter for what has finished.
+    _, out, _ = command(scores, *arguments[:3])
+    assert out.count("works on") == 1 and out.count("skipped") == 2
+
+
+def test_a_sweeper_gets_the_score(
+    command: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, runs_root: Path
+) -> None:
+    from hydra._internal.core_plugins.basic_launcher import BasicLauncher
+
+    seen: list[Any] = []
+    launch = BasicLauncher.launch
+
+    def watched(self: BasicLauncher, *arguments: Any, **named: Any) -> Any:
+        returned = launch(self, *arguments, **named)
+        seen.extend(each.return_value for each in returned)
+        return returned
+
+    monkeypatch.setattr(BasicLauncher, "launch", watched)
+    for _ in range(2):  # what is skipped has the same score
+        command(scores, "-m", "stage=balance", "seed=3,7")
+    assert seen == [0.3, 0.0, 0.3, 0.0] and all(type(score) is float for score in seen)
+
+
+def test_programs_other_than_train_run_again_and_write_a_file_each(
+    command: Callable[..., Any], runs_root: Path
+) -> None:
+    def evaluate(config: Any, overrides: list[str]) -> float:
+        Path(config.json).write_text(config.suite.name)
+        return Score.of(1, 2)
+
+    for _ in range(2):
+        status, out, err = command(evaluate, "-m", "suite=far,rolling", "json=r.json", program="evaluate")
+        assert status == 0, err
+    for suite in ("far", "rolling"):
+        assert (runs_root.parent / f"r_suite={suite}.json").read_text() == suite
+    assert "50.0%" in out
+    assert len(list((runs_root / "multirun").glob("*_evaluate*/multirun.yaml"))) == 2
+
+
+def test_files_are_separate_unless_the_user_separates_them(tmp_path: Path) -> None:
+    class Config:
+        json = "a/r.json"
+        output = "results"
+
+    config, sweep = Config(), SweepFolder(tmp_path, "evaluate")
+    separate_files(config, Job(sweep, 1, [], {"output": "x", "suite": "far"}))
+    assert (config.json, config.output) == ("a/r_output=x,suite=far.json", "results")
+    separate_files(config, Job(sweep, 1, [], {}))
+    assert config.json == "a/r_output=x,suite=far.json"
+
+
+def test_a_multirun_is_asked_for_in_three_ways() -> None:
+    assert multirun.is_asked_for(["-m"]) and multirun.is_asked_for(["--multirun", "a=1"])
+    assert multirun.is_asked_for(["hydra.mode=MULTIRUN"]) and not multirun.is_asked_for(["stage=balance"])
+
+
+def test_trainings_resume_in_a_sweep(
+    command: Callable[..., Any], runs_root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tiny = [each for each in TINY if not each.startswith("logger.final")] + ["logger.final_episodes=2"]
+    arguments = ["-m", "stage=balance", "seed=1,2", *tiny, f"total_frames={2 * BATCH}"]
+    save = CheckpointCallback.on_iteration_end
+
+    def interrupt(self: CheckpointCallback, trainer: Trainer, metrics: dict[str, float]) -> None:
+        save(self, trainer, metrics)
+        raise KeyboardInterrupt
+
+    def first_finishes(config: Any, overrides: list[str], job: Job) -> float:
+        return scores(config, overrides) if job.number == 1 else train(config, overrides, job)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(CheckpointCallback, "on_iteration_end", interrupt)
+        status, out, _ = command(first_finishes, *arguments)
+    assert status == 130
+    (sweep,) = sweeps(runs_root)
+    cut_off = RunFolder(sweep / "seed=2").latest
+    assert cut_off is not None and cut_off.name == f"step_{BATCH:012d}"
+
+    status, out, err = command(train, *arguments)
+    assert status == 0, err
+    assert "job 1 of 2: seed=1: has finished before, skipped" in out
+    assert f"resumes runs/skatemount/{sweep.name}/seed=2\n" in out
+    assert sorted(p.name for p in sweep.iterdir() if p.is_dir()) == ["jobs", "seed=2"]
+    record = json.loads((sweep / "jobs" / "seed=2.json").read_text())
+    assert (record["steps"], record["episodes"], record["run"]) == (2 * BATCH, 2, "seed=2")
+
+    # The run can be named, and is the latest.
+    assert find_checkpoint("latest", runs_root).parents[1].name == "seed=2"
+    assert find_checkpoint(f"skatemount/{sweep.name}/seed=2", runs_root).parents[1] == sweep / "seed=2"
+    with pytest.raises(ConfigError, match=f"a sweep; name one of its runs: {sweep}/seed=2$"):
+        find_checkpoint(str(sweep), runs_root)
+
+    # Only its final evaluation was cut off.
+    (sweep / "jobs" / "seed=2.json").unlink()
+    (sweep / "seed=2" / "evaluation.json").unlink()
+    status, out, err = command(train, *arguments)
+    assert status == 0 and out.count("episodes        2") == 1, err
+    assert json.loads((sweep / "jobs" / "seed=2.json").read_text()) == record
+
+
+def test_what_failed_is_repeated_from_its_start(
+    command: Callable[..., Any], runs_root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = ["-m", "stage=balance", "seed=1", *TINY, f"total_frames={BATCH}", "logger.evaluate_every=0"]
+
+    def fail(self: CheckpointCallback, trainer: Trainer, metrics: dict[str, float]) -> None:
+        raise OSError(28, "No space left on device", "somewhere")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(CheckpointCallback, "on_iteration_end", fail)
+        status, _, err = command(train, *arguments)
+    assert status == 1 and err.endswith(": failed: somewhere: No space left on device\n")
+    status, out, _ = command(train, *arguments)
+    (sweep,) = sweeps(runs_root)
+    assert status == 0 and "repeated, it failed before: somewhere: No space" in out
+    record = json.loads((sweep / "jobs" / "run.json").read_text())
+    assert (record["status"], record["run"], record["success"]) == ("finished", "run_2", None)
