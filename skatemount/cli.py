@@ -17,7 +17,7 @@ from skatemount import multirun
 from skatemount.config import config_dir, set_user_config_dir, stages, suites
 from skatemount.config.compose import checked, plain
 from skatemount.config.messages import is_of_library, reason
-from skatemount.config.overrides import prepare
+from skatemount.config.overrides import prepare, read
 from skatemount.config.versions import rename_override
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.quiet import ignore_torchrl_warnings
@@ -49,7 +49,8 @@ def run(verb: Callable[..., float | None], program: str) -> None:
     @hydra.main(config_path=str(config_dir().absolute()), config_name=program, version_base="1.3")
     def application(composed: DictConfig) -> None:
         try:
-            multirun.check_folder()
+            # Paths in settings are relative to the folder where the command started, also with hydra.job.chdir.
+            os.chdir(HydraConfig.get().runtime.cwd)
             verb(checked(plain(composed), program), list(HydraConfig.get().overrides.task))
         except (ConfigError, FloatingPointError, OSError) as error:
             # Caught here because Hydra would print a line of its own first.
@@ -141,6 +142,7 @@ def _prepared(arguments: list[str], program: str) -> tuple[list[str], list[str]]
             print(f"note: {old} is called {new} now", file=sys.stderr)
         # Paths may be relative to the folder of all runs.
         settings.append(prepare([*roots, argument], program, several)[-1])
+        read(settings[-1])
         result.append(settings[-1])
     return result, settings
 

@@ -14,13 +14,12 @@ from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig
 
 from skatemount import config as configuration
 from skatemount.config.compose import checked, composed_values, plain
 from skatemount.config.messages import is_of_library, reason
-from skatemount.config.overrides import hydra_text
+from skatemount.config.overrides import hydra_text, read
 from skatemount.evaluation import sweep_report
 from skatemount.runs import atomic
 from skatemount.runs.sweep import RESULTS_FILE, Job, SweepFolder, key_of, open_sweep
@@ -76,15 +75,6 @@ def run(verb: Callable[..., float | None], program: str, settings: Sequence[str]
     return failed
 
 
-def check_folder() -> None:
-    """Raise `ConfigError` if Hydra has changed the working directory, to which the paths in settings are relative."""
-    if HydraConfig.get().job.chdir:
-        raise ConfigError(
-            "hydra.job.chdir=true: the paths of runs and results are relative to the folder where the command starts; "
-            "leave it out, and change to another folder before"
-        )
-
-
 @dataclass
 class _Task:
     """The task function of all jobs. Launchers may send it to other processes.
@@ -117,6 +107,8 @@ class _Task:
             configuration.set_user_config_dir(self.sweep.config_dir)
         with safe_streams(live=not elsewhere):
             state = HydraConfig.get()
+            # Paths in settings are relative to the folder where the command started, also with hydra.job.chdir.
+            os.chdir(state.runtime.cwd)
             job = self.sweep.job(int(state.job.num) + 1, list(state.overrides.task))
             return self._run(composed, job)
 
@@ -129,7 +121,6 @@ class _Task:
         again = f"; repeated, it failed before: {record['error']}" if record is not None else ""
         print(f"{job.describe()}{again}", flush=True)
         try:
-            check_folder()
             config = checked(plain(composed), program)
             if program == TRAIN:
                 score = self.verb(config, job.overrides, job)
@@ -173,7 +164,7 @@ def _place(program: str, settings: Sequence[str]) -> tuple[Path, str]:
         key = key_of(each)
         if key.startswith(("hydra.", "hydra/")):
             continue
-        (override,) = OverridesParser.create().parse_overrides([each])
+        override = read(each)
         if not override.is_sweep_override():
             firsts.append(each)
         elif program == TRAIN and key in ("logger.root", "logger.experiment"):

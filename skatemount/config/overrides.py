@@ -8,7 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override as HydraOverride
 from hydra.core.override_parser.types import Quote, QuotedString
+from hydra.errors import HydraException
 
 from skatemount.config.files import choices, groups
 from skatemount.config.keys import is_known, keys, table_of, unknown
@@ -96,6 +99,23 @@ def prepare(overrides: Sequence[str], program: str, multirun: bool = False) -> l
         else:
             prepared.append(_prepared(override, written, program))
     return prepared
+
+
+def read(override: str) -> HydraOverride:
+    """Return an override as Hydra reads it.
+
+    Raises:
+        ConfigError: Hydra cannot read it.
+    """
+    try:
+        (parsed,) = OverridesParser.create().parse_overrides([override])
+    except HydraException as error:
+        said = str(error).partition("\n")[0]
+        raise ConfigError(
+            f"{override}: Hydra cannot read this ({said}); text with special characters needs two pairs of quotes, "
+            "such as \"name='a (b)'\""
+        ) from error
+    return parsed
 
 
 def hydra_text(text: str) -> str:
