@@ -19,7 +19,7 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
     Args:
         config: Every setting; with ``resume``, those that the run has saved count instead.
         overrides: What the user asked for.
-        job: The job of a multirun, whose run lies in the sweep's folder. A run of it that was cut off resumes.
+        job: The job of a multirun, whose run lies in the sweep's folder. If its run was cut off, it resumes.
 
     Returns:
         The success rate of the final evaluation, or else of the last one during the training; see

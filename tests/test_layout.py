@@ -52,6 +52,7 @@ TESTED_IN = {
     "runs/shipped.py": "config/test_versions.py",
     "train.py": "test_train_command.py",
     "training/resume.py": "training/test_trainer.py",
+    "training/score.py": "test_multirun.py",
     "training/state.py": "training/test_trainer.py",
 }
 """Modules that are part of what another module's tests are about, and that test file."""

@@ -96,8 +96,8 @@ def safe_streams(live: bool = True) -> Iterator[None]:
             continue
         with contextlib.suppress(AttributeError, ValueError, OSError):
             file.reconfigure(errors="skatemount.similar")  # type: ignore[union-attr]
-        made.append(SafeStream(file, live))  # type: ignore[arg-type]
-    sys.stdout, sys.stderr = made  # type: ignore[assignment]
+        made.append(SafeStream(file, live))
+    sys.stdout, sys.stderr = made
     try:
         yield
     finally:

@@ -91,3 +91,30 @@ def test_on_a_terminal_an_evaluation_has_a_bar_that_goes_away_with_the_next_repo
 def test_short_forms() -> None:
     assert [format_count(x) for x in (950, 15_230, 1.2e6, 3e9)] == ["950", "15.2k", "1.20M", "3.00G"]
     assert [format_duration(x) for x in (9, 83, 7511, math.inf)] == ["0:09", "1:23", "2:05:11", "-"]
+
+
+@pytest.mark.parametrize(
+    ("environment", "terminal", "live"),
+    [
+        ({"FORCE_COLOR": "1"}, False, False),  # as build machines set it
+        ({"TTY_COMPATIBLE": "1", "TTY_INTERACTIVE": "1"}, False, False),
+        ({"TERM": "dumb"}, True, False),
+        ({"TERM": "xterm", "NO_COLOR": "1", "COLUMNS": "40"}, True, True),
+    ],
+)
+def test_cursor_codes_are_for_terminals_only(
+    environment: dict[str, str], terminal: bool, live: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Output(io.StringIO):
+        def isatty(self) -> bool:
+            return terminal
+
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    out = Output()
+    monkeypatch.setattr("sys.stdout", out)
+    with Progress(1000, "mount", every_s=0.0) as progress:
+        progress.log({"Success/rate": 0.75}, 250)
+        progress.log({"Success/rate": 0.75}, 500)
+    assert ("\x1b" in out.getvalue()) == live
+    assert "0.75" in out.getvalue()
