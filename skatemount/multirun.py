@@ -65,6 +65,7 @@ def run(verb: Callable[..., float | None], program: str, settings: Sequence[str]
         sweep.config_dir = options[-1] if options else None
         sys.argv[1:] = [*sys.argv[1:], f"hydra.sweep.dir={hydra_text(str(sweep.path))}"]
         if program == TRAIN:
+            _pin(sweep, settings)
             again = "; jobs that have finished are skipped, logger.experiment=<another> starts afresh"
             print(f"sweep: {sweep.path}{again if sweep.is_old else ''}", flush=True)
         application = hydra.main(str(configuration.config_dir().absolute()), program, version_base="1.3")
@@ -174,6 +175,18 @@ def _place(program: str, settings: Sequence[str]) -> tuple[Path, str]:
     if program == TRAIN:
         return Path(values["root"]) / values["experiment"], values["name"] or "sweep"
     return Path(values["root"]) / "multirun", program
+
+
+def _pin(sweep: SweepFolder, settings: Sequence[str]) -> None:
+    """Let ``init_from=latest`` mean the same policy in all jobs, not the run of the job before."""
+    asked = [each.partition("=")[2] for each in settings if key_of(each) == "init_from"]
+    named = {value for each in asked for value in each.split(",")} & {"latest", "best"}
+    if not named:
+        return
+    from skatemount.runs.find import find_checkpoint  # imports torch
+
+    root = sweep.path.parent.parent
+    sweep.pin({name: str(find_checkpoint(name, root, "init_from")) for name in sorted(named)})
 
 
 def _finish(sweep: SweepFolder) -> bool:

@@ -78,6 +78,8 @@ def _of_job(config: TrainConfig, job: Job) -> tuple[TrainConfig, list[str]]:
         started = None
     if started is None:
         config.logger.name = job.free_name()
+        if config.init_from is not None:
+            config.init_from = job.sweep.pinned.get(config.init_from, config.init_from)
         return config, job.overrides
     print(f"resumes {started}", flush=True)
     config.resume = str(started)

@@ -10,14 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from tiny import BATCH, TINY
 
 from skatemount import cli, multirun
 from skatemount.multirun import separate_files
+from skatemount.runs.checkpoint import POLICY_FILE, PolicyCard, save_policy
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.sweep import Job, Score, SweepFolder
-from skatemount.train import train
+from skatemount.train import _of_job, train
 from skatemount.training.callbacks import CheckpointCallback
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
@@ -120,7 +122,7 @@ def test_the_working_directory_stays(command: Callable[..., Any], runs_root: Pat
     change = ["stage=balance", "hydra.job.chdir=true"]
     assert command(where, *change, "hydra.run.dir=elsewhere")[0] == 0
     status, out, err = command(where, "-m", *change, "seed=1,2")
-    assert status == 0 and out.count("  50.0%  ") == 2, err
+    assert status == 0 and out.count("  50.0%  ") == 3, err
     assert Path.cwd() == runs_root.parent
 
 
@@ -179,6 +181,32 @@ def test_programs_other_than_train_run_again_and_write_a_file_each(
         assert (runs_root.parent / f"r_suite={suite}.json").read_text() == suite
     assert "50.0%" in out
     assert len(list((runs_root / "multirun").glob("*_evaluate*/multirun.yaml"))) == 2
+
+
+def test_latest_means_the_same_policy_in_all_jobs(command: Callable[..., Any], runs_root: Path) -> None:
+    def checkpoint(name: str) -> Path:
+        folder = RunFolder.create(runs_root, "exp", name, {}, []).checkpoint(10)
+        save_policy(folder / POLICY_FILE, {"actor": torch.nn.Linear(1, 1)}, PolicyCard(stage="s", config={}))
+        return folder
+
+    before = checkpoint("before").relative_to(runs_root.parent)
+    seen: list[Any] = []
+
+    def verb(config: Any, overrides: list[str], job: Job) -> float:
+        seen.append(_of_job(config, job)[0].init_from)
+        checkpoint("a_newer_one")
+        if config.seed == 2 and len(seen) == 2:
+            raise ValueError
+        return Score.of(1, 2)
+
+    for _ in range(2):
+        command(verb, "-m", "stage=balance", "init_from=latest,null", "seed=2")
+    assert seen == [str(before), None, None]
+    (sweep,) = (p for p in sweeps(runs_root))
+    assert json.loads((sweep / "sweep.json").read_text())["pinned"] == {"latest": str(before)}
+    status, _, err = command(verb, "-m", "stage=balance", "init_from=latest,null", "logger.root=none")
+    assert status == 2 and "init_from='latest': no run in 'none' has a checkpoint yet" in err
+    assert list(Path("none").glob("*/*")) == []
 
 
 def test_files_are_separate_unless_the_user_separates_them(tmp_path: Path) -> None:

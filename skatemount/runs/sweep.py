@@ -15,7 +15,7 @@ import json
 import math
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -80,6 +80,7 @@ class SweepFolder:
         fixed: Keys of the settings that all jobs share.
         total: Number of jobs; None if the sweeper decides it while it runs.
         config_dir: The user's own folder of settings, if any.
+        pinned: Policies that ``latest`` and ``best`` mean in all jobs, although jobs before them have newer ones.
         is_old: The same command began it earlier.
     """
 
@@ -88,6 +89,7 @@ class SweepFolder:
     fixed: frozenset[str] = frozenset()
     total: int | None = None
     config_dir: str | None = None
+    pinned: dict[str, str] = field(default_factory=dict)
     is_old: bool = False
 
     def job(self, number: int, overrides: Sequence[str]) -> Job:
@@ -99,6 +101,17 @@ class SweepFolder:
         """
         differ = [each for each in overrides if key_of(each) not in self.fixed]
         return Job(self, number, list(overrides), {key_of(each): _value(each) for each in differ})
+
+    def pin(self, policies: Mapping[str, str]) -> None:
+        """Keep the policies that pointers mean, unless an earlier start has kept them.
+
+        Args:
+            policies: Checkpoint folders by pointer.
+        """
+        path = self.path / SWEEP_FILE
+        document = json.loads(path.read_bytes())
+        self.pinned = dict(policies) | document.get("pinned", {})
+        atomic.write_text(path, json.dumps(document | {"pinned": self.pinned}, indent=2) + "\n")
 
     def records(self) -> list[dict[str, Any]]:
         """Return the records of all jobs that ended, in the order of their numbers."""
