@@ -24,7 +24,8 @@ pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
 
 @pytest.fixture(params=["closed pipe", "full disk", "ascii", "closed"])
-def output(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def output(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A standard output; `run` sets it, because pytest sets its own between fixtures and test."""
     file: Any
     if request.param == "closed pipe":
         reading, writing = os.pipe()
@@ -36,32 +37,41 @@ def output(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
         file = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     else:
         file = None
-    monkeypatch.setattr(sys, "stdout", file)
     monkeypatch.setenv("FORCE_COLOR", "1")
-    yield
+    yield file
     if isinstance(file, io.TextIOWrapper) and isinstance(file.buffer, io.BytesIO):
         file.flush()
         assert b"\x1b" not in file.buffer.getvalue() and b"episodes" in file.buffer.getvalue()
 
 
-def run(verb: Any, program: str, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
+def run(verb: Any, program: str, output: Any, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
+    monkeypatch.setattr(sys, "stdout", output)
     monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
     monkeypatch.setattr(sys, "argv", [program, *arguments])
     cli.run(verb, program)
 
 
-def test_an_evaluation_reaches_its_file(output: None, runs_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_evaluation_reaches_its_file(output: Any, runs_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(
-        evaluate, "evaluate", monkeypatch, "checkpoint=pretrained:balance", "json=r.json", "output=results",
+        evaluate, "evaluate", output, monkeypatch, "checkpoint=pretrained:balance", "json=r.json", "output=results",
         "episodes=3", "physics.num_worlds=4", "physics.threads=1", "episode_length=0.5",
     )  # fmt: skip
     assert json.loads(Path("r.json").read_text())["episodes"] == 3
     assert len(list(Path("results").iterdir())) == 2
 
 
-def test_a_training_goes_on_to_its_end(output: None, runs_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_training_goes_on_to_its_end(output: Any, runs_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = [each for each in TINY if not each.startswith("logger.final")]
-    run(train, "train", monkeypatch, "stage=balance", *tiny, "logger.final_episodes=2", f"total_frames={2 * BATCH}")
+    run(
+        train,
+        "train",
+        output,
+        monkeypatch,
+        "stage=balance",
+        *tiny,
+        "logger.final_episodes=2",
+        f"total_frames={2 * BATCH}",
+    )
     run_folder = RunFolder.open(find_checkpoint("latest"))
     score = score_of(run_folder)
     assert (score.frames, score.episodes) == (2 * BATCH, 2)
