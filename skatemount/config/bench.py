@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.bounds import check_bounds, each, number
 
 
 @dataclass
@@ -20,19 +20,13 @@ class BenchConfig:
         start: Measure the time from the training command to the end of its first iteration.
     """
 
-    worlds: list[int]
-    threads: list[int]
-    rounds: int
-    seconds: float
+    worlds: list[int] = field(metadata=each(1, 1_000_000))
+    threads: list[int] = field(metadata=each(1, 1024))
+    rounds: int = field(metadata=number(1, 10_000))
+    seconds: float = field(metadata=number(0, 3600, "s", above=True))
     profile: bool
     start: bool
 
     def validate(self, where: str = "bench") -> None:
         """Raise `ConfigError` for values that cannot be measured with."""
-        for name in ("worlds", "threads"):
-            if any(each < 1 for each in getattr(self, name)):
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be numbers of at least 1")
-        if self.rounds < 1:
-            raise ConfigError(f"{where}.rounds={self.rounds} must be at least 1")
-        if not 0 < self.seconds <= 3600:
-            raise ConfigError(f"{where}.seconds={self.seconds} must be above 0, and at most 3600")
+        check_bounds(self, where)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from skatemount.utils.bounds import check_bounds, number
 from skatemount.utils.errors import ConfigError
 
 CAMERAS = ("follow", "side", "top", "fixed")
-
-SIZES = {"width": (160, 3840), "height": (120, 2160)}
-"""Smallest and largest value of each, pixels."""
 
 
 @dataclass
@@ -25,19 +23,17 @@ class FilmConfig:
         gif: Whether to write a GIF as well.
     """
 
-    width: int
-    height: int
+    width: int = field(metadata=number(160, 3840, "pixels, an even number"))
+    height: int = field(metadata=number(120, 2160, "pixels, an even number"))
     camera: str
-    speed: float
+    speed: float = field(metadata=number(0.05, 20, why="0.5 plays at half speed"))
     gif: bool
 
     def validate(self, where: str = "film") -> None:
         """Raise `ConfigError` for the first setting that cannot be used."""
-        for name, (low, high) in SIZES.items():
-            pixels = getattr(self, name)
-            if not low <= pixels <= high or pixels % 2:
-                raise ConfigError(f"{where}.{name}={pixels} must be an even number of pixels from {low} to {high}")
+        check_bounds(self, where)
+        for name in ("width", "height"):
+            if (pixels := getattr(self, name)) % 2:
+                raise ConfigError(f"{where}.{name}={pixels} must be an even number of pixels")
         if self.camera not in CAMERAS:
             raise ConfigError(f"{where}.camera={self.camera} must be one of {', '.join(CAMERAS)}")
-        if not 0.05 <= self.speed <= 20:
-            raise ConfigError(f"{where}.speed={self.speed} must be from 0.05 to 20; 0.5 plays at half speed")

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from skatemount.config.bench import BenchConfig
 from skatemount.config.film import FilmConfig
-from skatemount.config.schema import TrainConfig, check_root, check_seed
+from skatemount.config.schema import MAX_SEED, TrainConfig, check_root
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.config.task import TaskConfig
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.bounds import number
+
+MAX_EPISODE = 2**40
 
 
 @dataclass
@@ -43,21 +45,18 @@ class PolicyConfig(TaskConfig):
 
     checkpoint: str
     pipeline: str | None
-    switch_distance: float
+    switch_distance: float = field(metadata=number(0, 100, "m", above=True))
     suite: SuiteConfig | None
-    seed: int
+    seed: int = field(metadata=number(0, MAX_SEED))
     logger: RunsConfig
     output: str | None
 
     def validate(self) -> None:
         """Raise `ConfigError` for the first setting that cannot be used."""
         super().validate()
-        check_seed(self.seed)
         check_root(self.logger.root, "logger")
         if self.suite is not None:
             self.suite.validate("suite")
-        if not self.switch_distance > 0:
-            raise ConfigError(f"switch_distance={self.switch_distance} must be above 0, in meters")
 
 
 @dataclass
@@ -69,14 +68,8 @@ class EvaluateConfig(PolicyConfig):
         json: File for the results.
     """
 
-    episodes: int
+    episodes: int = field(metadata=number(1, 10**6))
     json: str | None
-
-    def validate(self) -> None:
-        """Raise `ConfigError` for the first setting that cannot be used."""
-        super().validate()
-        if self.episodes < 1:
-            raise ConfigError(f"episodes={self.episodes} must be at least 1")
 
 
 @dataclass
@@ -88,15 +81,13 @@ class RecordConfig(PolicyConfig):
         film: Size, camera and speed of the film.
     """
 
-    episode: int | None
+    episode: int | None = field(metadata=number(0, MAX_EPISODE))
     film: FilmConfig
 
     def validate(self) -> None:
         """Raise `ConfigError` for the first setting that cannot be used."""
         super().validate()
         self.film.validate("film")
-        if self.episode is not None and not 0 <= self.episode <= MAX_EPISODE:
-            raise ConfigError(f"episode={self.episode} must be null, or 0 to {MAX_EPISODE}")
 
 
 @dataclass
@@ -123,8 +114,6 @@ class BenchProgramConfig(TrainConfig):
         """The settings of the training that is measured."""
         return TrainConfig(**{field.name: getattr(self, field.name) for field in dataclasses.fields(TrainConfig)})
 
-
-MAX_EPISODE = 2**40
 
 PROGRAMS: dict[str, type[TaskConfig]] = {
     "train": TrainConfig,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from skatemount.config.files import check_choice
 from skatemount.config.registries import CALLBACKS
@@ -11,10 +11,13 @@ from skatemount.envs.config.task import HOLD, TaskConfig
 from skatemount.losses.config import AlgorithmConfig
 from skatemount.models.config import NetworkConfig
 from skatemount.runs.loggers import LOGGERS
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.bounds import check_bounds, number
+from skatemount.utils.errors import ConfigError, check_name
 
 PRECISIONS = ("highest", "medium", "bf16")
+_STAND = "a success takes that much standing"
 MAX_SEED = 2**62
+"""Largest seed; torch's generators take no larger ones."""
 
 
 @dataclass
@@ -33,7 +36,7 @@ class StageConfig:
     name: str
     description: str
     init_from: str | None
-    gate: float | None
+    gate: float | None = field(metadata=number(0, 1, above=True))
     renormalize: bool
 
 
@@ -48,19 +51,13 @@ class CollectorConfig:
             stand until the time limit. Evaluations always do.
     """
 
-    steps_per_env: int
+    steps_per_env: int = field(metadata=number(1, 100_000))
     random_phase: bool
-    max_mounted_time: float | None
+    max_mounted_time: float | None = field(metadata=number(HOLD, 3600, "s, or null", why=_STAND))
 
     def validate(self, where: str = "collector") -> None:
         """Raise `ConfigError` for values that cannot be used."""
-        if self.steps_per_env < 1:
-            raise ConfigError(f"{where}.steps_per_env={self.steps_per_env} must be at least 1")
-        if self.max_mounted_time is not None and not self.max_mounted_time >= HOLD:
-            raise ConfigError(
-                f"{where}.max_mounted_time={self.max_mounted_time} must be null, or at least the {HOLD:g} s of "
-                "standing that a success takes"
-            )
+        check_bounds(self, where)
 
 
 @dataclass
@@ -89,13 +86,13 @@ class LoggerConfig:
     tensorboard: bool
     jsonl: bool
     loggers: list[str]
-    progress_every: float
-    plot_every: float
-    checkpoint_every: int
-    keep_checkpoints: int
-    evaluate_every: int
-    evaluate_episodes: int
-    final_episodes: int
+    progress_every: float = field(metadata=number(0, 1e6, "s"))
+    plot_every: float = field(metadata=number(0, 1e6, "s"))
+    checkpoint_every: int = field(metadata=number(1, 10**9))
+    keep_checkpoints: int = field(metadata=number(1, 10**6))
+    evaluate_every: int = field(metadata=number(1, 10**9, "iterations", zero="none"))
+    evaluate_episodes: int = field(metadata=number(1, 10**6))
+    final_episodes: int = field(metadata=number(1, 10**6, zero="none"))
 
     def validate(self, where: str = "logger") -> None:
         """Raise `ConfigError` for values that cannot be used."""
@@ -106,15 +103,7 @@ class LoggerConfig:
                 raise ConfigError(f"{where}.loggers={name}: use {where}.{name}=true")
             if self.loggers.count(name) > 1:
                 raise ConfigError(f"{where}.loggers: {name} is there twice")
-        for name in ("progress_every", "plot_every"):
-            if not getattr(self, name) >= 0:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be 0 or more, in seconds")
-        for name in ("checkpoint_every", "keep_checkpoints", "evaluate_episodes"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
-        for name in ("evaluate_every", "final_episodes"):
-            if getattr(self, name) < 0:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be 0 (none) or more")
+        check_bounds(self, where)
 
 
 @dataclass
@@ -147,10 +136,10 @@ class TrainConfig(TaskConfig):
     collector: CollectorConfig
     callbacks: list[str]
     logger: LoggerConfig
-    seed: int
-    total_frames: int
+    seed: int = field(metadata=number(0, MAX_SEED))
+    total_frames: int = field(metadata=number(1, 10**12))
     precision: str
-    torch_threads: int
+    torch_threads: int = field(metadata=number(1, 1024, zero="every core"))
     init_from: str | None
     init_from_expand: bool
     resume: str | None
@@ -158,6 +147,8 @@ class TrainConfig(TaskConfig):
     def validate(self) -> None:
         """Raise `ConfigError` for the first setting that cannot be used; `validate_terms` checks the tables."""
         super().validate()
+        check_bounds(self.stage, "stage")
+        check_name("stage.name", self.stage.name)
         self.network.validate("network")
         self.algorithm.validate("algorithm")
         self.curriculum.validate("curriculum")
@@ -167,7 +158,6 @@ class TrainConfig(TaskConfig):
             CALLBACKS.check_name(name, "callbacks")
             if self.callbacks.count(name) > 1:
                 raise ConfigError(f"callbacks: {name} is there twice")
-        check_seed(self.seed)
         self._validate_curriculum()
         self._check_gate("stage.gate", self.stage.gate)
         final, low, high = self.algorithm.final_std, self.network.min_std, self.network.max_std
@@ -178,10 +168,6 @@ class TrainConfig(TaskConfig):
             )
         if self.precision not in PRECISIONS:
             raise ConfigError(f"precision={self.precision} must be one of {', '.join(PRECISIONS)}")
-        if self.total_frames < 1:
-            raise ConfigError(f"total_frames={self.total_frames} must be at least 1")
-        if not 0 <= self.torch_threads <= 1024:
-            raise ConfigError(f"torch_threads={self.torch_threads} must be 0 (every core) to 1024")
         batch = self.physics.num_worlds * self.collector.steps_per_env
         if self.algorithm.minibatches > batch:
             raise ConfigError(
@@ -211,18 +197,8 @@ class TrainConfig(TaskConfig):
             )
 
     def _check_gate(self, where: str, gate: float | None) -> None:
-        if gate is None:
-            return
-        if not 0 < gate <= 1:
-            raise ConfigError(f"{where}={gate} must be a success rate above 0 and at most 1, or null for none")
-        if not self.logger.evaluate_every:
+        if gate is not None and not self.logger.evaluate_every:
             raise ConfigError(f"{where}={gate} needs evaluations: set logger.evaluate_every above 0, or {where}=null")
-
-
-def check_seed(seed: int) -> None:
-    """Raise `ConfigError` for a seed that torch's generators do not take."""
-    if not 0 <= seed <= MAX_SEED:
-        raise ConfigError(f"seed={seed} must be 0 to {MAX_SEED}")
 
 
 def check_root(root: str, where: str) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.bounds import check_bounds, number
+from skatemount.utils.errors import ConfigError, check_name
 
 
 @dataclass
@@ -27,25 +28,23 @@ class SuiteConfig:
     """
 
     name: str = ""
-    version: int = 1
+    version: int = field(default=1, metadata=number(1, 10**6))
     description: str = ""
     stage: str = ""
     overrides: list[str] = field(default_factory=list)
     variants: dict[str, list[str]] = field(default_factory=dict)
     members: list[str] = field(default_factory=list)
-    seed: int = 0
+    seed: int = field(default=0, metadata=number(0, 2**62))
 
     def validate(self, where: str = "suite") -> None:
         """Raise `ConfigError` for a suite that contradicts itself."""
         if not self.name:
             raise ConfigError(f"{where}.name='' must be the name of the suite's file")
-        if self.version < 1:
-            raise ConfigError(f"{where}.version={self.version} must be at least 1")
+        check_name(f"{where}.name", self.name)
+        check_bounds(self, where)
         if bool(self.stage) == bool(self.members):
             raise ConfigError(
                 f"{where}.stage={self.stage!r} and {where}.members={self.members}: a suite has one of the two"
             )
         if self.members and (self.overrides or self.variants):
             raise ConfigError(f"{where}.members={self.members}: such a suite has no overrides or variants of its own")
-        if not 0 <= self.seed < 2**62:
-            raise ConfigError(f"{where}.seed={self.seed} must be 0 or more, and less than 2**62")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+from skatemount.utils.bounds import check_bounds, each, number
 from skatemount.utils.classes import ClassRegistry
 from skatemount.utils.errors import ConfigError
 
@@ -16,6 +17,9 @@ CURRICULA = ClassRegistry(
     reserved=("none", "stages"),
 )
 """Curricula of initial states by ``curriculum.kind``."""
+
+MAX_EDGES = 100
+"""Largest number of bins along one axis."""
 
 
 @dataclass
@@ -30,8 +34,8 @@ class StageLink:
             less than those of the stage before.
     """
 
-    gate: float | None = None
-    budget: float = 1.0
+    gate: float | None = field(default=None, metadata=number(0, 1, above=True))
+    budget: float = field(default=1.0, metadata=number(0, 1e9, above=True))
     renormalize: bool = False
 
 
@@ -75,42 +79,35 @@ class CurriculumConfig:
     name: str
     stages: dict[str, StageLink]
     params: dict[str, Any]
-    distances: list[float]
-    bearings: list[float]
-    headings: list[float]
-    heights: list[float]
-    min_height: float
-    free_board_after: float | None
-    success_threshold: float
-    solved_rate: float
-    window: float
-    min_episodes: float
-    replay_fraction: float
-    stage_range_fraction: float
-    stage_range_from: float | None
-    stuck_start_fraction: float
+    distances: list[float] = field(metadata=each(0, 100, "m", above=True))
+    bearings: list[float] = field(metadata=each(0, 90, "degrees, because a board has no front", above=True))
+    headings: list[float] = field(metadata=each(0, 90, "degrees, because a board has no front", above=True))
+    heights: list[float] = field(metadata=each(0, 1, "m", above=True))
+    min_height: float = field(metadata=number(0, 1, "m", above=True))
+    free_board_after: float | None = field(metadata=number(0, 100, "m"))
+    success_threshold: float = field(metadata=number(0, 1, above=True, below=True))
+    solved_rate: float = field(metadata=number(0, 1, above=True, below=True))
+    window: float = field(metadata=number(0, 1e6, above=True))
+    min_episodes: float = field(metadata=number(0, 1e6, above=True))
+    replay_fraction: float = field(metadata=number(0, 1, above=True, below=True))
+    stage_range_fraction: float = field(metadata=number(0, 1))
+    stage_range_from: float | None = field(metadata=number(0, 100, "m", above=True))
+    stuck_start_fraction: float = field(metadata=number(0, 1, below=True))
 
     def validate(self, where: str = "curriculum") -> None:
         """Raise `ConfigError` if a setting cannot be used."""
         CURRICULA.check_name(self.kind, f"{where}.kind")
+        check_bounds(self, where)
         self._validate_stages(where)
         for name in ("distances", "bearings", "headings", "heights"):
             edges = getattr(self, name)
-            if not edges or edges != sorted(set(edges)) or edges[0] <= 0:
+            if not edges or edges != sorted(set(edges)):
                 raise ConfigError(f"{where}.{name}={edges} must be increasing numbers above 0")
-        for name in ("bearings", "headings"):
-            if (edges := getattr(self, name))[-1] > 90:
-                raise ConfigError(f"{where}.{name}={edges} must not exceed 90 degrees: a board has no front")
+            if len(edges) > MAX_EDGES:
+                raise ConfigError(f"{where}.{name} has {len(edges)} numbers; at most {MAX_EDGES} are possible")
         if not 0 < self.min_height < self.heights[0]:
             raise ConfigError(
                 f"{where}.min_height={self.min_height} must be above 0 and below heights[0]={self.heights[0]}"
-            )
-        for name in ("success_threshold", "solved_rate", "replay_fraction"):
-            if not 0 < getattr(self, name) < 1:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be a share between 0 and 1")
-        if not 0 <= self.stage_range_fraction <= 1:
-            raise ConfigError(
-                f"{where}.stage_range_fraction={self.stage_range_fraction} must be a share between 0 and 1"
             )
         if self.stage_range_from is not None and not self.stage_range_from >= self.distances[0]:
             raise ConfigError(
@@ -118,24 +115,15 @@ class CurriculumConfig:
                 f"distances[0]={self.distances[0]} m: "
                 "some bins must be left"
             )
-        if not 0 <= self.stuck_start_fraction < 1:
-            raise ConfigError(
-                f"{where}.stuck_start_fraction={self.stuck_start_fraction} must be a share, 0 or more and below 1"
-            )
         if self.stuck_start_fraction and self.kind == "stages":
             raise ConfigError(
                 f"{where}.stuck_start_fraction={self.stuck_start_fraction} must be 0 in a chain of stages"
             )
-        if not self.window > 0:
-            raise ConfigError(f"{where}.window={self.window} must be above 0")
-        if not 0 < self.min_episodes <= self.window:
-            raise ConfigError(
-                f"{where}.min_episodes={self.min_episodes} must be above 0 and at most window={self.window}"
-            )
+        if not self.min_episodes <= self.window:
+            raise ConfigError(f"{where}.min_episodes={self.min_episodes} must be at most window={self.window}")
 
     def _validate_stages(self, where: str) -> None:
         if self.kind == "stages" and not (self.stages and self.name):
             raise ConfigError(f"{where}.kind=stages needs {where}.stages and {where}.name: choose +curriculum=paper")
         for name, link in self.stages.items():
-            if not 0 < link.budget <= 1e9:
-                raise ConfigError(f"{where}.stages.{name}.budget={link.budget} must be a share above 0")
+            check_bounds(link, f"{where}.stages.{name}")

@@ -19,11 +19,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from skatemount.envs.config.terms import PARAMETERS
 from skatemount.envs.legs import Legs
 from skatemount.envs.memory import BoundMemoryTerm, check_class, term_name
 from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.scene import Scene
 from skatemount.envs.state import SimState
+from skatemount.utils.bounds import Bounds
 from skatemount.utils.errors import ConfigError
 
 TermFunction = Callable[..., Tensor]
@@ -194,14 +196,15 @@ class Registry:
             if key not in known:
                 names = ", ".join(known) or "none"
                 raise ConfigError(f"{where}.params.{key} is not a parameter; known: {names}")
+        own = function.__module__.startswith("skatemount.")
         for key, value in params.items():
-            _check_parameter(f"{where}.params.{key}", value, types[key])
+            _check_parameter(f"{where}.params.{key}", value, types[key], PARAMETERS.get(key) if own else None)
         bound: TermFunction
         if isinstance(function, type):
             bound = BoundMemoryTerm(function, params, where)
         else:
             bound = partial(function, **params) if params else function
-        if function.__module__.startswith("skatemount."):
+        if own:
             return bound
         columns, attributes = self._columns, self._attributes[name]
 
@@ -284,7 +287,7 @@ def _parameter_types(where: str, function: Callable[..., Any]) -> dict[str, Any]
     return {each.name: types[each.name] for each in own}
 
 
-def _check_parameter(where: str, value: Any, kind: Any) -> None:
+def _check_parameter(where: str, value: Any, kind: Any, bounds: Bounds | None) -> None:
     if get_origin(kind) is Literal:
         if value not in get_args(kind):
             raise ConfigError(f"{where}={value} must be {' or '.join(get_args(kind))}")
@@ -294,14 +297,16 @@ def _check_parameter(where: str, value: Any, kind: Any) -> None:
     if float in allowed and number:
         if not math.isfinite(value):
             raise ConfigError(f"{where}={value} must be a finite number")
+        if bounds is not None:
+            bounds.check(where, value)
         if where.endswith((".scale", ".sigma")) and value <= 0:
             raise ConfigError(f"{where}={value} must be above 0, because the term divides by it")
         return
     if isinstance(value, bool) != (bool in allowed) or not isinstance(value, allowed):
         names = " or ".join("null" if t is type(None) else t.__name__ for t in allowed)
         raise ConfigError(f"{where}={value} must be of type {names}")
-    if where.endswith(".points") and value < 1:
-        raise ConfigError(f"{where}={value} must be at least 1")
+    if bounds is not None and number:
+        bounds.check(where, value)
 
 
 def upright(sim: SimState) -> Tensor:

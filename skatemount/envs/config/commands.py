@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from skatemount.utils.bounds import check_bounds, interval, number
 from skatemount.utils.classes import ClassRegistry
-from skatemount.utils.errors import ConfigError, check_range
+from skatemount.utils.errors import ConfigError
 
 MODES = ("sampled", "board", "zero")
 
@@ -36,23 +36,16 @@ class CommandConfig:
 
     mode: str
     turn_to: str
-    forward: list[float]
-    left: list[float]
-    turn: list[float]
-    resample: float
-    standing: float
-    deadband: float
+    forward: list[float] = field(metadata=interval(-20, 20, "m/s"))
+    left: list[float] = field(metadata=interval(-20, 20, "m/s"))
+    turn: list[float] = field(metadata=interval(-50, 50, "rad/s"))
+    resample: float = field(metadata=number(0, 3600, "s", above=True))
+    standing: float = field(metadata=number(0, 1))
+    deadband: float = field(metadata=number(0, 20, "m/s"))
 
     def validate(self, where: str = "command") -> None:
         """Raise `ConfigError` for settings that cannot be used."""
         COMMANDS.check_name(self.mode, f"{where}.mode")
         if self.turn_to not in ENDS:
             raise ConfigError(f"{where}.turn_to={self.turn_to} must be one of {', '.join(ENDS)}")
-        for name in ("forward", "left", "turn"):
-            check_range(f"{where}.{name}", getattr(self, name))
-        if not 0 < self.resample < math.inf:
-            raise ConfigError(f"{where}.resample={self.resample} must be above 0 s and finite")
-        if not 0 <= self.standing <= 1:
-            raise ConfigError(f"{where}.standing={self.standing} must be a fraction between 0 and 1")
-        if not self.deadband >= 0:
-            raise ConfigError(f"{where}.deadband={self.deadband} must be 0 or more, in m/s")
+        check_bounds(self, where)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, field
 
+from skatemount.utils.bounds import check_bounds, number
 from skatemount.utils.errors import ConfigError
 
 ENGINES = ("cpu", "warp")
+_DEVICE = re.compile(r"auto|cpu|cuda(:\d{1,2})?")
 
 
 @dataclass
@@ -24,14 +27,14 @@ class SolverConfig:
         impratio: Ratio of frictional to normal constraint impedance.
     """
 
-    timestep: float
-    substeps: int
+    timestep: float = field(metadata=number(0.0001, 0.02, "s"))
+    substeps: int = field(metadata=number(1, 1000))
     solver: str
-    iterations: int
-    ls_iterations: int
-    tolerance: float
+    iterations: int = field(metadata=number(1, 1000))
+    ls_iterations: int = field(metadata=number(1, 1000))
+    tolerance: float = field(metadata=number(0, 1))
     cone: str
-    impratio: float
+    impratio: float = field(metadata=number(0, 1000, above=True))
 
     @property
     def control_step(self) -> float:
@@ -40,15 +43,7 @@ class SolverConfig:
 
     def validate(self, where: str = "physics") -> None:
         """Raise `ConfigError` if a setting cannot be used; ``where`` names the group in the message."""
-        if not 1e-4 <= self.timestep <= 0.02:
-            raise ConfigError(f"{where}.timestep={self.timestep} must be from 0.0001 to 0.02 s")
-        if not 0 <= self.tolerance <= 1:
-            raise ConfigError(f"{where}.tolerance={self.tolerance} must be within 0 and 1")
-        if not 0 < self.impratio <= 1000:
-            raise ConfigError(f"{where}.impratio={self.impratio} must be above 0 and at most 1000")
-        for name in ("substeps", "iterations", "ls_iterations"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
+        check_bounds(self, where)
         for name, known in (("solver", ("Newton", "CG", "PGS")), ("cone", ("pyramidal", "elliptic"))):
             if getattr(self, name) not in known:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be one of {', '.join(known)}")
@@ -69,19 +64,16 @@ class PhysicsConfig(SolverConfig):
     """
 
     engine: str
-    num_worlds: int
-    threads: int
+    num_worlds: int = field(metadata=number(1, 1_000_000))
+    threads: int = field(metadata=number(1, 1024, zero="every core"))
     device: str
-    max_contacts: int
-    max_constraints: int
+    max_contacts: int = field(metadata=number(1, 10_000))
+    max_constraints: int = field(metadata=number(1, 10_000))
 
     def validate(self, where: str = "physics") -> None:
         """Raise `ConfigError` if a setting cannot be used; ``where`` names the group in the message."""
         super().validate(where)
         if self.engine not in ENGINES:
             raise ConfigError(f"{where}.engine={self.engine} must be one of {', '.join(ENGINES)}")
-        for name in ("num_worlds", "max_contacts", "max_constraints"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be at least 1")
-        if self.threads < 0:
-            raise ConfigError(f"{where}.threads={self.threads} must be 0 (every core) or more")
+        if not _DEVICE.fullmatch(self.device):
+            raise ConfigError(f"{where}.device={self.device} must be auto, cpu, cuda or cuda:<number>")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from skatemount.utils.errors import ConfigError, check_range
+from skatemount.utils.bounds import check_bounds, interval
 
 
 @dataclass
@@ -27,23 +27,17 @@ class RandomizationConfig:
         push_velocity: Velocity that a push adds to each horizontal axis of the trunk, m/s.
     """
 
-    friction: list[float]
-    trunk_mass: list[float]
-    trunk_com: list[float]
-    inertia: list[float]
-    board_mass: list[float]
-    truck_stiffness: list[float]
-    kp: list[float]
-    kd: list[float]
-    push_interval: list[float] | None
-    push_velocity: list[float]
+    friction: list[float] = field(metadata=interval(0, 10, above=True))
+    trunk_mass: list[float] = field(metadata=interval(-50, 50, "kg"))
+    trunk_com: list[float] = field(metadata=interval(-0.5, 0.5, "m"))
+    inertia: list[float] = field(metadata=interval(0, 100, above=True))
+    board_mass: list[float] = field(metadata=interval(0, 100, above=True))
+    truck_stiffness: list[float] = field(metadata=interval(0, 100, above=True))
+    kp: list[float] = field(metadata=interval(0, 100, above=True))
+    kd: list[float] = field(metadata=interval(0, 100, above=True))
+    push_interval: list[float] | None = field(metadata=interval(0, 3600, "s", above=True))
+    push_velocity: list[float] = field(metadata=interval(-20, 20, "m/s"))
 
     def validate(self, where: str = "randomization") -> None:
         """Raise `ConfigError` if a range cannot be drawn from; ``where`` names the group in the message."""
-        additive = ("trunk_mass", "trunk_com", "push_velocity")
-        for name, value in vars(self).items():
-            if value is None:
-                continue
-            check_range(f"{where}.{name}", value)
-            if name not in additive and value[0] <= 0:
-                raise ConfigError(f"{where}.{name}={value} must be above 0")
+        check_bounds(self, where)

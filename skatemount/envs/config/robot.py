@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-
-import numpy as np
+from dataclasses import dataclass, field
 
 from skatemount.envs.robots import ROBOTS, RobotSpec
+from skatemount.utils.bounds import check_bounds, number
 from skatemount.utils.errors import ConfigError
 
 
@@ -35,21 +34,21 @@ class RobotConfig:
     """
 
     variant: str
-    kp: float
-    kd: float
-    torque_limit: float
-    speed_limit: float
+    kp: float = field(metadata=number(0, 10_000, "N m/rad", above=True))
+    kd: float = field(metadata=number(0, 1000, "N m s/rad"))
+    torque_limit: float = field(metadata=number(0, 10_000, "N m", above=True))
+    speed_limit: float = field(metadata=number(0, 1000, "rad/s", above=True))
     hip_inward: float
     thigh: float
     calf: float
-    action_scale_hip: float
-    action_scale_thigh: float
-    action_scale_calf: float
-    action_clip: float
-    joint_friction: float
-    joint_damping: float
-    armature: float
-    foot_friction: float
+    action_scale_hip: float = field(metadata=number(0, 10, "rad"))
+    action_scale_thigh: float = field(metadata=number(0, 10, "rad"))
+    action_scale_calf: float = field(metadata=number(0, 10, "rad"))
+    action_clip: float = field(metadata=number(0, 1000, above=True))
+    joint_friction: float = field(metadata=number(0, 100, "N m"))
+    joint_damping: float = field(metadata=number(0, 100, "N m s/rad"))
+    armature: float = field(metadata=number(0, 10, "kg m2"))
+    foot_friction: float = field(metadata=number(0, 10))
 
     @property
     def spec(self) -> RobotSpec:
@@ -68,18 +67,12 @@ class RobotConfig:
         if self.variant not in ROBOTS:
             known = ", ".join(ROBOTS)
             raise ConfigError(f"{where}.variant={self.variant} must be one of {known}")
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name != "variant" and not np.isfinite(value):
-                raise ConfigError(f"{where}.{field.name}={value} must be a finite number")
-        for name in ("kp", "torque_limit", "speed_limit", "action_clip"):
-            if getattr(self, name) <= 0:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be above 0")
-        scales = ("action_scale_hip", "action_scale_thigh", "action_scale_calf")
-        passive = ("kd", "joint_friction", "joint_damping", "armature", "foot_friction")
-        for name in scales + passive:
-            if getattr(self, name) < 0:
-                raise ConfigError(f"{where}.{name}={getattr(self, name)} must be >= 0")
+        check_bounds(self, where)
+        if not any((self.action_scale_hip, self.action_scale_thigh, self.action_scale_calf)):
+            raise ConfigError(
+                f"{where}.action_scale_hip={self.action_scale_hip}, action_scale_thigh and action_scale_calf must not "
+                "all be 0: no action would move the robot"
+            )
         for i, name in enumerate(("hip_inward", "thigh", "calf")):
             low, high = self.spec.stance_range(i)
             if not low <= getattr(self, name) <= high:

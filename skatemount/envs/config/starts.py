@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from skatemount.utils.errors import ConfigError, check_range
+from skatemount.utils.bounds import check_bounds, interval, number
+from skatemount.utils.errors import ConfigError
 
-_MAX_TILT = 0.5
+MAX_TILT = 0.5
+"""Largest roll and pitch, rad."""
+_TILT = interval(
+    -MAX_TILT, MAX_TILT, "rad", why="with a larger tilt, more than the robot's feet would touch the ground"
+)
 
 
 @dataclass
@@ -49,55 +53,39 @@ class StartConfig:
         torque: Each axis of a constant torque on the trunk for the whole episode, N m.
     """
 
-    x: list[float]
-    y: list[float]
+    x: list[float] = field(metadata=interval(-100, 100, "m"))
+    y: list[float] = field(metadata=interval(-100, 100, "m"))
     both_sides: bool
-    distance: list[float] | None
-    yaw: list[float]
-    roll: list[float]
-    pitch: list[float]
-    height: list[float]
-    lin_vel: list[float]
-    ang_vel: list[float]
-    joint_pos: list[float]
-    joint_vel: list[float]
-    step_height: list[float] | None
-    board_fixed: float
-    board_speed: list[float]
-    board_lean: list[float]
-    truck_angle: list[float] | None
+    distance: list[float] | None = field(metadata=interval(0, 100, "m"))
+    yaw: list[float] = field(metadata=interval(-10, 10, "rad"))
+    roll: list[float] = field(metadata=_TILT)
+    pitch: list[float] = field(metadata=_TILT)
+    height: list[float] = field(metadata=interval(0, 5, "m", why="below 0 the robot would start inside the ground"))
+    lin_vel: list[float] = field(metadata=interval(-20, 20, "m/s"))
+    ang_vel: list[float] = field(metadata=interval(-50, 50, "rad/s"))
+    joint_pos: list[float] = field(metadata=interval(-2, 2, "rad"))
+    joint_vel: list[float] = field(metadata=interval(-100, 100, "rad/s"))
+    step_height: list[float] | None = field(metadata=interval(-1, 1, "m"))
+    board_fixed: float = field(metadata=number(0, 1))
+    board_speed: list[float] = field(metadata=interval(0, 20, "m/s", why="the direction is drawn separately"))
+    board_lean: list[float] = field(metadata=interval(-0.5, 0.5, "rad"))
+    truck_angle: list[float] | None = field(metadata=interval(-0.5, 0.5, "rad"))
     move_with_board: bool
     drive: bool
-    edge_margin: float
-    force: list[float]
-    torque: list[float]
+    edge_margin: float = field(metadata=number(0, 1, "m"))
+    force: list[float] = field(metadata=interval(-10_000, 10_000, "N"))
+    torque: list[float] = field(metadata=interval(-1000, 1000, "N m"))
 
     def validate(self, where: str = "start") -> None:
         """Raise `ConfigError` if a range cannot be drawn from; ``where`` names the group in the message."""
-        for name, value in vars(self).items():
-            if isinstance(value, list):
-                check_range(f"{where}.{name}", value)
-        if not 0.0 <= self.board_fixed <= 1.0:
-            raise ConfigError(f"{where}.board_fixed={self.board_fixed} must be a fraction between 0 and 1")
-        for name in ("roll", "pitch"):
-            low, high = getattr(self, name)
-            if max(-low, high) > _MAX_TILT:
-                raise ConfigError(
-                    f"{where}.{name}={[low, high]} must be from -{_MAX_TILT} to {_MAX_TILT} rad; with a larger tilt, "
-                    "more than the robot's feet would touch the ground"
-                )
-        if self.distance is not None and self.distance[0] < 0:
-            raise ConfigError(f"{where}.distance={self.distance} must be >= 0 m")
-        if self.board_speed[0] < 0:
+        check_bounds(self, where)
+        if self.board_fixed == 1 and self.board_speed[1] > 0:
             raise ConfigError(
-                f"{where}.board_speed={self.board_speed} must be >= 0 m/s; the direction is sampled separately"
+                f"{where}.board_speed={self.board_speed} needs free boards: set {where}.board_fixed below 1, or "
+                f"{where}.board_speed=[0,0]"
             )
         if self.truck_angle is not None and self.board_lean != [0.0, 0.0]:
             raise ConfigError(
                 f"{where}.truck_angle={self.truck_angle} must be null with {where}.board_lean={self.board_lean}; each "
                 "follows from the other"
             )
-        if self.height[0] < 0:
-            raise ConfigError(f"{where}.height={self.height} must be >= 0 m; the robot would start inside the ground")
-        if not 0 <= self.edge_margin < math.inf:
-            raise ConfigError(f"{where}.edge_margin={self.edge_margin} must be 0 or more and finite, in m")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from omegaconf import OmegaConf
@@ -16,6 +15,7 @@ from skatemount.envs.config.randomization import RandomizationConfig
 from skatemount.envs.config.robot import RobotConfig
 from skatemount.envs.config.starts import StartConfig
 from skatemount.envs.config.terms import ObservationTerm, RewardTerm, TerminationTerm
+from skatemount.utils.bounds import check_bounds, number
 from skatemount.utils.errors import ConfigError
 
 HOLD = 1.0
@@ -73,7 +73,7 @@ class ObservationConfig:
     policy: dict[str, Any]
     privileged: dict[str, Any]
     noise: bool
-    history_length: int
+    history_length: int = field(metadata=number(1, 100))
 
     def __post_init__(self) -> None:
         self.policy = _terms(ObservationTerm, self.policy, "observation.policy")
@@ -100,7 +100,7 @@ class TaskConfig:
         plugins: Modules that register terms of one's own, imported before the tables are checked.
     """
 
-    episode_length: float
+    episode_length: float = field(metadata=number(0, 3600, "s", above=True))
     success: str
     robot: RobotConfig
     board: SkateboardConfig
@@ -119,8 +119,8 @@ class TaskConfig:
 
     def validate(self) -> None:
         """Raise `ConfigError` for the first setting that cannot be used."""
-        if not 0 < self.episode_length < math.inf:
-            raise ConfigError(f"episode_length={self.episode_length} must be above 0 s and finite")
+        check_bounds(self, "")
+        self._validate_tables()
         for name, term in self.observation.privileged.items():
             if term.history_length not in (None, 1):
                 raise ConfigError(
@@ -129,6 +129,28 @@ class TaskConfig:
                 )
         for part in ("robot", "board", "physics", "start", "command", "randomization"):
             getattr(self, part).validate(part)
+        if self.episode_length < self.physics.control_step:
+            raise ConfigError(
+                f"episode_length={self.episode_length} must be at least a control step, physics.timestep times "
+                f"physics.substeps, {self.physics.control_step:g} s"
+            )
+
+    def _validate_tables(self) -> None:
+        check_bounds(self.observation, "observation")
+        tables = {
+            "reward": self.reward,
+            "termination": self.termination,
+            "observation.policy": self.observation.policy,
+            "observation.privileged": self.observation.privileged,
+        }
+        for where, table in tables.items():
+            if not table and where in ("reward", "termination"):
+                off = "weight=0" if where == "reward" else "enabled=false"
+                raise ConfigError(f"{where}={{}} must have at least one term; {off} switches a term off")
+            if not table:
+                raise ConfigError(f"{where}={{}} must have at least one term, such as base_lin_vel")
+            for name, term in table.items():
+                check_bounds(term, f"{where}.{name}")
 
     def validate_terms(self) -> None:
         """Raise `ConfigError` for an unknown task, or an unknown term or parameter in one of the tables."""

@@ -5,6 +5,28 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from skatemount.utils.bounds import Bounds, number
+
+_SIZE = "give the size, as the term itself is added or subtracted"
+PARAMETERS: dict[str, Bounds] = {
+    name: bounds
+    for names, declared in (
+        (("degrees",), number(0, 180, "degrees", above=True)),
+        (("metres", "gate"), number(0, 1000, "m", above=True)),
+        (("limit",), number(0, 1000, "m/s", above=True)),
+        (("when_mounted",), number(0, 1e6)),
+        (("scale", "sigma"), number(0, 1e6, above=True)),
+        (("points",), number(1, 256)),
+        (("threshold",), number(0, 1e6, "N")),
+        (("ramp",), number(0, 3600, "s")),
+        (("height",), number(0, 10, "m")),
+        (("target",), number(-10, 10, "m")),
+    )
+    for bounds in declared.values()
+    for name in names
+}
+"""Bounds of the parameters of the package's own terms by name; a name means the same in every term."""
+
 
 @dataclass
 class ObservationTerm:
@@ -19,10 +41,10 @@ class ObservationTerm:
         params: Parameters of the term's function.
     """
 
-    scale: float = 1.0
-    noise: float = 0.0
-    clip: float | None = None
-    history_length: int | None = None
+    scale: float = field(default=1.0, metadata=number(-1e6, 1e6))
+    noise: float = field(default=0.0, metadata=number(0, 1e6))
+    clip: float | None = field(default=None, metadata=number(0, 1e9, above=True))
+    history_length: int | None = field(default=None, metadata=number(1, 100))
     params: dict[str, Any] = field(default_factory=dict)
 
 
@@ -39,9 +61,9 @@ class RewardTerm:
         params: Parameters of the term's function.
     """
 
-    weight: float = 0.0
+    weight: float = field(default=0.0, metadata=number(0, 1e6, why=_SIZE))
     upright: bool = False
-    clip: float | None = None
+    clip: float | None = field(default=None, metadata=number(0, 1e9, above=True))
     params: dict[str, Any] = field(default_factory=dict)
 
 
