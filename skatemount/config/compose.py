@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 import re
+import typing
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,10 @@ from skatemount.config.overrides import prepare
 from skatemount.config.plugins import import_classes, import_plugins, require_classes, require_plugins
 from skatemount.config.programs import PROGRAMS
 from skatemount.config.schema import TrainConfig
+from skatemount.config.sizes import check_sizes
 from skatemount.config.versions import FORMAT, upgrade
 from skatemount.envs.config.task import TaskConfig
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.errors import ConfigError, brief
 
 _WRITTEN_WITH_EXPONENT = re.compile(r"[+-]?\d+(\.\d*)?[eE]\+?\d+")
 
@@ -135,7 +137,9 @@ def plain(composed: DictConfig) -> dict[str, Any]:
     return values  # type: ignore[return-value]
 
 
-def checked(values: dict[str, Any], program: str, untrusted: str | None = None, training: bool = True) -> TaskConfig:
+def checked(
+    values: dict[str, Any], program: str, untrusted: str | None = None, training: bool = True, sizes: bool = True
+) -> TaskConfig:
     """Return plain values as the dataclasses of a program, validated.
 
     Args:
@@ -144,6 +148,7 @@ def checked(values: dict[str, Any], program: str, untrusted: str | None = None, 
         untrusted: Name of settings from elsewhere, whose plugins and classes must be imported already; None imports
             them.
         training: The classes that only a training needs are needed.
+        sizes: Refuse what this machine has not the memory or time for.
 
     Raises:
         ConfigError: A key that does not exist, one that is missing, or a value that cannot be used.
@@ -167,16 +172,22 @@ def checked(values: dict[str, Any], program: str, untrusted: str | None = None, 
         require_plugins(result.plugins, untrusted)
         require_classes(result, untrusted, training)
     result.validate()
+    if sizes:
+        check_sizes(result)
     result.validate_terms()
     return result
 
 
 def _check_keys(values: dict[str, Any], schema: type[TaskConfig], program: str, prefix: str = "") -> None:
     known = keys(schema)
+    groups = {f"{each.rpartition('.')[0]}." for each in known}
     for name, value in values.items():
         key = f"{prefix}{name}"
         if not is_known(schema, key):
             raise ConfigError(unknown(program, key, key if isinstance(value, dict) else f"{key}={value}"))
+        is_group = typing.get_origin(known.get(key)) is dict or f"{key}." in groups
+        if is_group and not isinstance(value, dict) and type(None) not in typing.get_args(known[key]):
+            raise ConfigError(f"{key}={brief(value)} must be a group of settings")
         if isinstance(value, dict) and any(each.startswith(f"{key}.") for each in known):
             _check_keys(value, schema, program, f"{key}.")
         elif known.get(key) is int and (isinstance(value, float) and value.is_integer() or _is_exponent(value)):
@@ -216,7 +227,7 @@ def from_dict(
         ConfigError: They are damaged, of a newer version, or need plugins that are not imported.
     """
     try:
-        config = checked(upgrade(values), "train", None if own else "not a run of your own", training)
+        config = checked(upgrade(values), "train", None if own else "not a run of your own", training, sizes=False)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from error
     assert isinstance(config, TrainConfig)

@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 import skatemount
+from skatemount.utils.documents import read_yaml
 from skatemount.utils.errors import ConfigError
 
 SHARED = "base"
@@ -121,14 +122,7 @@ def load_file(group: str, name: str) -> dict[str, Any]:
     Raises:
         ConfigError: There is no such file, or it is not a YAML mapping.
     """
-    path = find_file(group, name)
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not YAML ({' '.join(str(error).split())})") from error
-    if not isinstance(values, dict):
-        raise ConfigError(f"{path}: holds a {type(values).__name__}, a mapping is needed")
-    return values
+    return read_yaml(find_file(group, name))
 
 
 def stages() -> dict[str, str]:

@@ -19,6 +19,7 @@ from skatemount.envs.config.robot import RobotConfig
 from skatemount.envs.entities.arena import MountArena
 from skatemount.envs.entities.quadruped import Quadruped
 from skatemount.envs.entities.skateboard import WELD_SOLIMP, WELD_SOLREF, Skateboard
+from skatemount.utils.errors import ConfigError
 
 
 class Scene:
@@ -79,6 +80,10 @@ class Scene:
         root.compiler.discardvisual = not visuals
         try:
             physics = mjcf.Physics.from_mjcf_model(root)
+        except ValueError as error:
+            # MuJoCo names the body or geom, whose name says which group of settings it belongs to.
+            reason = " ".join(str(error).split())
+            raise ConfigError(f"robot and board cannot be compiled to a scene: {reason}") from error
         finally:
             root.compiler.discardvisual = False
         # A copy, because the physics object frees its model when it is collected.

@@ -8,7 +8,7 @@ from typing import Any
 
 from skatemount.utils.bounds import check_bounds, each, number
 from skatemount.utils.classes import ClassRegistry
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.errors import ConfigError, brief
 from skatemount.utils.formatting import format_count
 
 ACTIVATIONS = ("elu", "relu", "tanh", "silu")
@@ -63,7 +63,7 @@ class NetworkConfig:
         for name in ("actor", "critic"):
             sizes = getattr(self, name)
             if not 1 <= len(sizes) <= MAX_LAYERS:
-                raise ConfigError(f"{where}.{name}={sizes} must be 1 to {MAX_LAYERS} layer sizes")
+                raise ConfigError(f"{where}.{name}={brief(sizes)} must be 1 to {MAX_LAYERS} layer sizes")
             if self.symmetric and any(size % 2 for size in sizes):
                 raise ConfigError(f"{where}.{name}={sizes} must be even numbers with {where}.symmetric=true")
             weights = sum(a * b for a, b in itertools.pairwise(sizes))

@@ -56,5 +56,8 @@ def choose(works: Callable[[str], bool] = works) -> str | None:
 
 
 def disable() -> None:
-    """Keep mujoco and dm_control from looking for a display and from warning, in programs that draw nothing."""
-    os.environ.setdefault(VARIABLE, "disable")
+    """Keep mujoco and dm_control from looking for a display and from warning, in programs that draw nothing.
+
+    A choice that ``MUJOCO_GL`` holds is replaced: one that does not exist here would make the import of mujoco fail.
+    """
+    os.environ[VARIABLE] = "disable"

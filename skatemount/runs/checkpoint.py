@@ -20,12 +20,17 @@ from torch import Tensor, nn
 
 from skatemount.runs import atomic
 from skatemount.runs.serialization import load_state, parse_json, read_bytes, read_tensors, save_state, write_tensors
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.errors import ConfigError, check_name
 
 CARD_FORMAT = 1
 POLICY_FILE = "policy.safetensors"
 TRAINING_FOLDER = "training"
 WORLDS_FOLDER = "worlds"
+
+MAX_SIZE = 1_000_000
+"""Largest number of values in an observation."""
+
+MAX_JOINTS = 1000
 
 _NON_FINITE = ("nan", "inf", "-inf")
 
@@ -79,9 +84,38 @@ class PolicyCard:
                 raise ConfigError(
                     f"{where}: field {name!r} is a {type(value).__name__}, a {kinds[name].__name__} is needed"
                 )
-        if not all(isinstance(part, dict) for part in document.get("observation", [])):
-            raise ConfigError(f"{where}: field 'observation' needs a list of objects")
+        _check_card(document, where)
         return cls(**{name: _revive(value) for name, value in document.items()})
+
+
+def _check_card(document: dict[str, Any], where: str) -> None:
+    """Check names and sizes in a card, which may come from elsewhere.
+
+    Raises:
+        ConfigError: A name that could lead to another folder, or a size that no policy has.
+    """
+    check_name(f"{where}: stage", document["stage"])
+    if not 0 <= document.get("frames", 0) < 2**62:
+        raise ConfigError(f"{where}: frames={document['frames']} must be 0 or more, and less than 2**62")
+    total = 0
+    for i, part in enumerate(document.get("observation", []), 1):
+        if not isinstance(part, dict):
+            raise ConfigError(f"{where}: field 'observation' needs a list of objects")
+        for name in ("key", "name"):
+            if not isinstance(part.get(name), str):
+                raise ConfigError(f"{where}: part {i} of its observation has {name}={part.get(name)!r}; text is needed")
+        size = part.get("size")
+        if type(size) is not int or not 1 <= size <= MAX_SIZE:
+            raise ConfigError(f"{where}: part {i} of its observation has size={size!r}; 1 to {MAX_SIZE} are possible")
+        frames = part.get("history_length", 1)
+        if type(frames) is not int or not 1 <= frames <= size:
+            raise ConfigError(f"{where}: part {i} of its observation has history_length={frames!r}; 1 to {size} needed")
+        total += size
+    if total > MAX_SIZE:
+        raise ConfigError(f"{where}: its observation has {total} values; at most {MAX_SIZE} are possible")
+    joints = document.get("action", {}).get("joints", [])
+    if not isinstance(joints, list) or len(joints) > MAX_JOINTS or not all(isinstance(each, str) for each in joints):
+        raise ConfigError(f"{where}: action.joints must be a list of at most {MAX_JOINTS} names")
 
 
 def save_policy(path: Path, modules: Mapping[str, nn.Module], card: PolicyCard) -> None:
@@ -112,11 +146,13 @@ def load_policy(path: Path) -> tuple[dict[str, dict[str, Tensor]], PolicyCard]:
         path: A `.safetensors` file, or a checkpoint folder.
 
     Raises:
-        ConfigError: A file is missing, damaged, a pickle, or of a newer format.
+        ConfigError: A file is missing, damaged, a pickle, or of a newer format, or a weight is not finite.
     """
     card = read_card(path)
     modules: dict[str, dict[str, Tensor]] = {}
     for name, tensor in read_tensors(_policy_file(path), card.sha256).items():
+        if tensor.is_floating_point() and not tensor.isfinite().all():
+            raise ConfigError(f"{_policy_file(path)}: weight {name} is not finite; the policy is of no use")
         module, _, key = name.partition(".")
         modules.setdefault(module, {})[key] = tensor
     return modules, card

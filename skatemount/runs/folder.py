@@ -15,7 +15,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,11 @@ from skatemount.runs.checkpoint import is_checkpoint, list_checkpoints, step_fol
 from skatemount.runs.metrics import OLD_SUFFIX
 from skatemount.runs.provenance import environment_report, git_report
 from skatemount.runs.sweep import JOB_FILE, is_sweep
+from skatemount.utils.documents import read_yaml
 from skatemount.utils.errors import ConfigError
 
 POINTERS = ("latest", "best")
+PARENT_FILE = "parent.json"
 
 MAX_NAME = 200
 """Bytes of a run's name; file systems allow 255, and the time is added to it."""
@@ -133,6 +135,8 @@ class RunFolder:
                 f"with init_from={self.path}"
             ) from None
         try:
+            # Only the holder may: another process would delete what this one is writing.
+            atomic.recover(self.path)
             yield
         finally:
             lock.release()
@@ -140,14 +144,7 @@ class RunFolder:
     @property
     def config(self) -> dict[str, Any]:
         """The configuration that the run was started with; a damaged `config.yaml` is a `ConfigError`."""
-        path = self.path / "config.yaml"
-        try:
-            config = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{path}: not plain YAML ({' '.join(str(error).split())})") from error
-        if not isinstance(config, dict):
-            raise ConfigError(f"{path}: holds a {type(config).__name__}, a mapping is needed")
-        return config
+        return read_yaml(self.path / "config.yaml")
 
     @property
     def checkpoints(self) -> Path:
@@ -212,6 +209,14 @@ class RunFolder:
             atomic.write_text(self.path / "best", f"{target}\nscore {float(score)!r}\n")
         self._mark_run()
 
+    def note_parent(self, parent: Mapping[str, Any]) -> None:
+        """Write which policy this run started from to `parent.json`.
+
+        Args:
+            parent: Its name, path, frames and the SHA-256 of its weights, as plain values.
+        """
+        atomic.write_text(self.path / PARENT_FILE, json.dumps(parent, indent=2, ensure_ascii=False) + "\n")
+
     def _mark_run(self) -> None:
         """Point `<root>/latest` at this run, or the one it is a part of, unless a newer one has a checkpoint."""
         run = self.parent or self
@@ -266,13 +271,14 @@ def age_key(run: Path) -> tuple[str, str]:
 
 
 def follow(pointer: Path) -> Path | None:
-    """Return the folder that a pointer file names, if both exist."""
+    """Return the folder that a pointer file names, if both exist; it never leads out of the pointer's own folder."""
     try:
         target = pointer.read_text(encoding="utf-8").partition("\n")[0].strip()
     except (OSError, UnicodeDecodeError):
         return None
+    inside = bool(target) and not Path(target).is_absolute() and ".." not in Path(target).parts
     folder = pointer.parent / target
-    return folder if target and folder.is_dir() else None
+    return folder if inside and folder.is_dir() else None
 
 
 def _check_name(setting: str, value: str) -> None:

@@ -76,9 +76,10 @@ def read_metrics(path: Path) -> dict[str, np.ndarray]:
 
 
 def _read(path: Path) -> list[dict[str, float]]:
-    text = path.read_text(encoding="utf-8")
-    lines = text[: text.rfind("\n") + 1].splitlines()  # without a last line that a crash cut off
+    data = path.read_bytes()
     try:
+        text = data[: data.rfind(b"\n") + 1].decode("utf-8")  # without a last line that a crash cut off
+        lines = text.splitlines()
         if path.suffix == OLD_SUFFIX:
             header = next(csv.reader(lines[:1]), [STEP])
             cells = [dict(zip(header, row)) for row in csv.reader(lines[1:]) if len(row) == len(header)]

@@ -14,7 +14,7 @@ PACKAGES = (
     "warp-lang", "numpy", "hydra-core", "omegaconf", "safetensors", "tensorboard",
 )  # fmt: skip
 
-_PACKAGE = Path(__file__).resolve().parent
+_PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def package_versions() -> dict[str, str]:
@@ -43,28 +43,31 @@ def environment_report() -> str:
 
 
 def git_report(package: Path = _PACKAGE) -> str:
-    """Return commit, status and difference of the source tree, or the installed version if there is no such tree.
+    """Return commit, status and difference of the source tree, or the installed version and why git says nothing of it.
 
     The text is a patch: `git apply` skips the leading lines.
 
     Args:
         package: The package's folder; its parent is the source tree if git says so.
     """
-    top = _git(package, "rev-parse", "--show-toplevel")
+    top, reason = _git(package, "rev-parse", "--show-toplevel")
     # A package that is installed inside a user's own repository is not under version control there.
-    if top is None or Path(top.strip()).resolve() != package.parent:
+    if reason or Path(top.strip()).resolve() != package.parent:
+        reason = reason or f"the checkout {top.strip()} is another one"
         version = package_versions().get("skatemount", "unknown")
-        return f"# not a git checkout: skatemount {version}, installed in {package}\n"
-    commit = (_git(package, "rev-parse", "HEAD") or "none yet").strip()
-    status = _git(package.parent, "status", "--porcelain") or ""
-    difference = _git(package.parent, "diff", "--no-ext-diff", "--no-textconv", "HEAD") or ""
+        return f"# not a git checkout: skatemount {version}, installed in {package}\n# git: {reason}\n"
+    commit, _ = _git(package, "rev-parse", "HEAD")
+    status, failed = _git(package.parent, "status", "--porcelain")
+    difference, reason = _git(package.parent, "diff", "--no-ext-diff", "--no-textconv", "HEAD")
     listing = "".join(f"# {line}\n" for line in status.splitlines())
-    state = "changed" if status else "clean"
-    return f"# commit {commit}\n# status {state}\n{listing}{difference}"
+    state = f"unknown, git: {failed}" if failed else "changed" if status else "clean"
+    # Without a commit there is nothing to compare with.
+    missing = f"# no difference, git: {reason}\n" if commit and reason else ""
+    return f"# commit {commit.strip() or 'none yet'}\n# status {state}\n{listing}{missing}{difference}"
 
 
-def _git(folder: Path, *arguments: str) -> str | None:
-    """Run git in a folder and return its output; None if it fails, is missing or hangs."""
+def _git(folder: Path, *arguments: str) -> tuple[str, str]:
+    """Run git in a folder and return its output, and the reason why there is none; one of both is ""."""
     # Variables that a hook sets would make git look at another repository; optional locks would block the user's own
     # git commands.
     environment = {k: v for k, v in os.environ.items() if not k.startswith("GIT_")}
@@ -74,6 +77,9 @@ def _git(folder: Path, *arguments: str) -> str | None:
             ["git", "-C", str(folder), *arguments],
             capture_output=True, env=environment, timeout=30, check=False,
         )  # fmt: skip
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return result.stdout.decode("utf-8", "replace") if result.returncode == 0 else None
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return "", " ".join(str(error).split())
+    if result.returncode == 0:
+        return result.stdout.decode("utf-8", "replace"), ""
+    said = " ".join(result.stderr.decode("utf-8", "replace").split())
+    return "", said[:300] or f"git {arguments[0]} ended with status {result.returncode}"

@@ -62,6 +62,8 @@ def load_state(folder: Path) -> dict[str, Any]:
     document = parse_json(read_bytes(path), path, FORMAT)
     try:
         state = document["state"]
+        if not isinstance(state, dict):
+            raise ConfigError(f"{path}: its state is a {type(state).__name__}, a mapping is needed")
         if _digest(state) != document["state_sha256"]:
             raise ConfigError(f"{path}: damaged, the checksum of its state does not match")
         tensors = read_tensors(folder / TENSORS_FILE, document["tensors_sha256"])

@@ -30,6 +30,7 @@ from skatemount.training.plots import plot_chain
 from skatemount.training.resume import apply_resume_overrides
 from skatemount.training.score import save_evaluation
 from skatemount.training.trainer import Trainer
+from skatemount.utils.documents import read_yaml
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_count
 from skatemount.utils.signals import ending_by_signals
@@ -160,10 +161,9 @@ class Chain:
         own, where = is_own_run(run.path, config.logger.root), f"resume={config.resume}: saved settings"
         saved = configuration.from_dict(run.config, own=own, where=where, training=True)
         path = run.path / CONFIGS_FILE
-        try:
-            values = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{path}: cannot be read, and the chain cannot resume without it") from error
+        values = read_yaml(path)
+        if list(values) != list(saved.curriculum.stages) or not all(isinstance(each, dict) for each in values.values()):
+            raise ConfigError(f"{path}: must hold the settings of {', '.join(saved.curriculum.stages)}, in this order")
         stages = {name: configuration.from_dict(stage, own, where, training=True) for name, stage in values.items()}
         for each in (saved, *stages.values()):
             apply_resume_overrides(each, config, overrides)

@@ -53,7 +53,7 @@ class Generators:
 
 
 class Attributes:
-    """Numbers that an object keeps as attributes.
+    """Numbers that an object keeps as attributes, 0 or more.
 
     Args:
         owner: The object.
@@ -70,6 +70,12 @@ class Attributes:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
+        for name in self._names:
+            now, saved = getattr(self._owner, name), state[name]
+            if isinstance(saved, bool) or not isinstance(saved, float | int if isinstance(now, float) else type(now)):
+                raise TypeError(f"{name}={saved!r} is no {type(now).__name__}")
+            if isinstance(saved, float | int) and not 0 <= saved < 2**62:
+                raise ValueError(f"{name}={saved!r} must be 0 or more, and less than 2**62")
         for name in self._names:
             setattr(self._owner, name, state[name])
 
@@ -114,7 +120,8 @@ def load_parts(parts: Mapping[str, Stateful], state: Mapping[str, Any], where: s
         where: The checkpoint's name in messages.
 
     Raises:
-        ConfigError: The state lacks a part; nothing is restored then.
+        ConfigError: The state lacks a part; nothing is restored then. Or a part does not fit, because the run's
+            settings or its state were changed.
     """
     if missing := [name for name in parts if name not in state]:
         raise ConfigError(
@@ -122,7 +129,14 @@ def load_parts(parts: Mapping[str, Stateful], state: Mapping[str, Any], where: s
             "here, but init_from takes its policy"
         )
     for name, part in parts.items():
-        part.load_state_dict(state[name])
+        try:
+            part.load_state_dict(state[name])
+        except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+            reason = " ".join(str(error).split())[:300]
+            raise ConfigError(
+                f"{where}: part {name!r} of its training state does not fit the run's settings, or was changed "
+                f"({type(error).__name__}: {reason})"
+            ) from error
 
 
 def copied(state: Any) -> Any:

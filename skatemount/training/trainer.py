@@ -97,6 +97,7 @@ class Trainer:
         display: Shows the progress.
         frames, iteration, elapsed: Environment steps, iterations and seconds trained so far.
         saved_frames: Environment steps at the last checkpoint.
+        parent: Name, path, frames and SHA-256 of the weights of the policy that a new run started from, if any.
         started_from: The policy or checkpoint that the training started from; none if it starts from scratch.
 
     Raises:
@@ -148,6 +149,7 @@ class Trainer:
         self.callbacks = arrange_callbacks([*callbacks, *make_callbacks(config.callbacks)])
         self.frames = self.iteration = self.saved_frames = 0
         self.elapsed = 0.0
+        self.parent: dict[str, Any] | None = None
         self._stopped = False
         self._evaluator: Evaluator | None = None
         self._collect_normalizer_stats = False
@@ -171,11 +173,16 @@ class Trainer:
                     self.networks.reset_statistics()
                     self._collect_normalizer_stats = True
             logger, values = config.logger, configuration.to_dict(config)
+            if self.parent is not None and config.init_from != "stage":
+                # Names such as latest would mean another policy tomorrow.
+                values["init_from"] = self.parent["policy"]
             name = logger.name or config.stage.name
             if parent is None:
                 self.run = RunFolder.create(logger.root, logger.experiment, name, values, overrides or [])
             else:
                 self.run = parent.create_part(name, values, overrides or [])
+            if self.parent is not None:
+                self.run.note_parent(self.parent)
             self._held.enter_context(self.run.lock())
         shown = mdp.definition.metrics_of(mdp.definition.progress)
         every = config.logger.progress_every
@@ -192,7 +199,13 @@ class Trainer:
         load_pretrained(self.networks, agent, self.task, self.config.init_from_expand, f"init_from={spec}")
         # This run sets how widely to explore: a policy that learned to walk explores too much for standing.
         self.networks.limit_std(self.config.network.max_std)
-        return spec
+        self.parent = {
+            "init_from": spec,
+            "policy": agent.spec,
+            "frames": agent.card.frames,
+            "sha256": agent.card.sha256,
+        }
+        return spec if spec == agent.spec else f"{spec} ({agent.spec})"
 
     @property
     def parts(self) -> dict[str, Stateful]:

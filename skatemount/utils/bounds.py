@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from skatemount.utils.errors import ConfigError, check_range
+from skatemount.utils.errors import ConfigError, brief, check_range
 
 KEY = "bounds"
 """Name of the bounds in a field's metadata."""
@@ -74,15 +74,15 @@ class Bounds:
             where: Name of the setting.
             value: Its value, a list if `shape` is not ``number``.
         """
-        if self.shape == "interval":
-            check_range(where, value)
+        whose = {"number": "", "interval": "[low, high], both ", "each": "a list of numbers, each "}[self.shape]
+        refused = ConfigError(f"{where}={brief(value)} must be {whose}{self.words}{self.why and f'; {self.why}'}")
         parts = [value] if self.shape == "number" else value
         if not isinstance(parts, list | tuple):
-            raise ConfigError(f"{where}={value} must be a list of numbers {self.words}")
+            raise refused
+        if self.shape == "interval" and all(isinstance(part, int | float) for part in parts):
+            check_range(where, parts)
         if not all(map(self.allow, parts)):
-            whose = {"number": "", "interval": "[low, high], both ", "each": "numbers, each "}[self.shape]
-            why = f"; {self.why}" if self.why else ""
-            raise ConfigError(f"{where}={value} must be {whose}{self.words}{why}")
+            raise refused
 
 
 def number(

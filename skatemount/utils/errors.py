@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from typing import Any
 
 
 class ConfigError(ValueError):
@@ -12,6 +13,12 @@ class ConfigError(ValueError):
 
     The message is one line. It names the setting, its value, and the values that are allowed.
     """
+
+
+def brief(value: Any) -> str:
+    """Return a value as text for a message; the middle of a long one is left out."""
+    text = "null" if value is None else str(value)
+    return text if len(text) <= 200 else f"{text[:120]} … {text[-40:]}"
 
 
 _NOT_IN_A_NAME = re.compile(r"[/\\:\x00-\x1f\x7f]")
@@ -29,7 +36,7 @@ def check_name(where: str, name: str) -> None:
     """
     if _NOT_IN_A_NAME.search(name) or name.startswith(".") or len(name) > 100:
         raise ConfigError(
-            f"{where}={name[:120]!r} must be a name without / \\ : and without a dot in front, of at most 100 characters"
+            f"{where}={name[:120]!r} must be a name of up to 100 characters, without / \\ : or a leading dot"
         )
 
 
