@@ -16,6 +16,7 @@ TESTED_IN = {
     "config/overrides.py": "config/test_keys.py",
     "config/programs.py": "config/test_keys.py",
     "config/schema.py": "config/test_compose.py",
+    "config/sizes.py": "config/test_refused.py",
     "curriculum/config.py": "curriculum/test_auto.py",
     "envs/config/commands.py": "envs/test_commands.py",
     "envs/config/physics.py": "envs/physics/test_factory.py",

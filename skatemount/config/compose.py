@@ -227,11 +227,24 @@ def from_dict(
         ConfigError: They are damaged, of a newer version, or need plugins that are not imported.
     """
     try:
+        _refuse_interpolations(values, "")
         config = checked(upgrade(values), "train", None if own else "not a run of your own", training, sizes=False)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from error
     assert isinstance(config, TrainConfig)
     return config
+
+
+def _refuse_interpolations(value: Any, key: str) -> None:
+    """Raise `ConfigError` for an interpolation: saved settings are values, and must not read the environment."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            _refuse_interpolations(part, f"{key}.{name}" if key else str(name))
+    elif isinstance(value, list):
+        for part in value:
+            _refuse_interpolations(part, key)
+    elif isinstance(value, str) and "${" in value:
+        raise ConfigError(f"{key}={brief(value)} must be a value; saved settings have no interpolations")
 
 
 def to_dict(config: TrainConfig) -> dict[str, Any]:

@@ -125,6 +125,12 @@ def load_file(group: str, name: str) -> dict[str, Any]:
     return read_yaml(find_file(group, name))
 
 
+def check_own_file(group: str, name: str) -> None:
+    """Raise `ConfigError` if a file of the user's own groups cannot be read; Hydra would hang on a bomb of aliases."""
+    if _user_dir is not None and (path := _user_dir / group / f"{name}.yaml").is_file():
+        read_yaml(path)
+
+
 def stages() -> dict[str, str]:
     """Return every stage with its one-line description."""
     return _described("stage", "stage.description")

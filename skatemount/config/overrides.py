@@ -13,7 +13,7 @@ from hydra.core.override_parser.types import Override as HydraOverride
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
 
-from skatemount.config.files import choices, groups
+from skatemount.config.files import check_own_file, choices, groups
 from skatemount.config.keys import is_known, keys, table_of, unknown
 from skatemount.config.programs import PROGRAMS
 from skatemount.config.versions import rename_override
@@ -195,6 +195,7 @@ def _check_choices(override: Override, written: str) -> None:
             raise ConfigError(f"{written}: leave suite out for the task that the policy was trained in")
         if name not in known and name != "null" and not name.startswith(("glob(", "choice(")):
             raise ConfigError(f"{written}: there is no {override.group} {name}; there are: {', '.join(known)}")
+        check_own_file(override.group, name)
 
 
 def _is_whole(hint: object) -> bool:

@@ -65,7 +65,7 @@ def test_policy_round_trip(tmp_path: Path) -> None:
     written = card(
         frames=12,
         metrics={"a": 0.1, "nan": float("nan"), "inf": np.float32(math.inf), "t": torch.tensor(2)},
-        observation=[{"name": "gravity", "size": 3, "scale": 1.0}],
+        observation=[{"key": "observation", "name": "gravity", "size": 3, "scale": 1.0}],
         notes="ä",
     )
     save_policy(file, {"actor": actor, "critic": critic}, written)
