@@ -125,7 +125,7 @@ def check_bounds(settings: Any, where: str) -> None:
 
 def _may_be_null(kind: type, name: str) -> bool:
     # Annotations are text in modules that import them from __future__.
-    return "None" in str(kind.__dataclass_fields__[name].type)
+    return any(item.name == name and "None" in str(item.type) for item in dataclasses.fields(kind))
 
 
 def _shown(value: float) -> str:

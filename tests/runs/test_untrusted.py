@@ -204,7 +204,7 @@ STATES: list[tuple[Change, str]] = [
     (lambda state: state["progress"].update(device="tpu"), "physics.device"),
     (lambda state: state.update(ppo=5), ""),
     (lambda state: state.update(networks=[]), ""),
-    (lambda state: state.__delitem__("generators"), "no part 'generators'"),
+    (lambda state: state.__delitem__("generators"), "generators"),
     (lambda state: [1], "a list, a mapping is needed"),
 ]
 
