@@ -35,7 +35,7 @@ from skatemount.envs import MountTask
 from skatemount.envs.mdp import Mdp
 from skatemount.losses.ppo import PPO
 from skatemount.models import actor_critic, symmetry
-from skatemount.training.trainer import make_networks
+from skatemount.training.setup import make_networks
 from skatemount.utils.memory import disable_malloc_trim
 
 SHIPPED = "as shipped"

@@ -32,7 +32,7 @@ from skatemount.envs import MountTask
 from skatemount.envs.mdp import Mdp
 from skatemount.envs.physics.cpu import available_cores
 from skatemount.losses.ppo import PPO
-from skatemount.training.trainer import make_networks
+from skatemount.training.setup import make_networks
 from skatemount.utils.memory import disable_malloc_trim
 
 ACTIONS = 12

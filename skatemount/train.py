@@ -31,9 +31,10 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
     from skatemount.config import stages
     from skatemount.evaluation import report
     from skatemount.training.chain import chain_to_train
+    from skatemount.training.commands import next_commands
     from skatemount.training.resume import resume_config
     from skatemount.training.score import save_evaluation, score_of
-    from skatemount.training.trainer import Trainer, next_commands
+    from skatemount.training.trainer import Trainer
     from skatemount.utils.errors import ConfigError
 
     sweep = None

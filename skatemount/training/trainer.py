@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Generator, Iterable
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -18,26 +17,21 @@ from skatemount import config as configuration
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
 from skatemount.agents.transfer import load_pretrained
 from skatemount.config import TrainConfig
-from skatemount.config.plugins import written
 from skatemount.curriculum.base import make_curriculum
 from skatemount.curriculum.stuck_states import StuckStateBuffer
 from skatemount.envs import MountEnv, MountTask
-from skatemount.envs.mdp import Mdp
-from skatemount.envs.mirror import mirror_map
-from skatemount.envs.physics.cpu import available_cores
 from skatemount.evaluation.evaluator import EVALUATION_SEED, NUM_WORLDS, Evaluator
 from skatemount.evaluation.results import Evaluation
 from skatemount.losses.base import make_algorithm
-from skatemount.models import base as models
-from skatemount.models.base import Networks
-from skatemount.models.symmetry import Reflection
 from skatemount.runs import checkpoint
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.sweep import SweepFolder
 from skatemount.training.callbacks import Callback, arrange_callbacks, make_callbacks
+from skatemount.training.commands import what_is_left
 from skatemount.training.memory import RestoredMemory, memory_after
 from skatemount.training.progress import Progress
+from skatemount.training.setup import make_networks, set_up_process
 from skatemount.training.state import (
     Attributes,
     CallbackStates,
@@ -49,26 +43,7 @@ from skatemount.training.state import (
 )
 from skatemount.utils.devices import rng_state, seconds, set_rng_state
 from skatemount.utils.errors import ConfigError
-from skatemount.utils.memory import disable_malloc_trim
 from skatemount.utils.signals import Ended, ending_by_signals, shielded
-
-
-def set_up_process(config: TrainConfig) -> None:
-    """Set torch's threads and matrix precision, and the memory allocator, for this process."""
-    # Physics and torch take turns, so both may use every core.
-    disable_malloc_trim()
-    torch.set_num_threads(config.torch_threads or available_cores())
-    torch.set_float32_matmul_precision("highest" if config.precision == "highest" else "medium")
-
-
-def make_networks(config: TrainConfig, mdp: Mdp) -> Networks:
-    """Return untrained networks for the observations and actions of a task."""
-    observation, privileged, layout = mdp.observation, mdp.privileged, mdp.context.layout
-    reflections = None
-    if config.network.symmetric:
-        images = observation.mirror(), privileged.mirror(), mirror_map("joints", layout.num_joints, layout)
-        reflections = Reflection(*images[0]), Reflection(*images[1]), Reflection(*images[2])
-    return models.make_networks(config.network, observation.size, privileged.size, layout.num_joints, reflections)
 
 
 class Trainer:
@@ -184,8 +159,7 @@ class Trainer:
             if self.parent is not None:
                 self.run.note_parent(self.parent)
             self._held.enter_context(self.run.lock())
-        shown = mdp.definition.metrics_of(mdp.definition.progress)
-        every = config.logger.progress_every
+        shown, every = mdp.definition.metrics_of(mdp.definition.progress), config.logger.progress_every
         self.display = Progress(config.total_frames, config.stage.name, every, self.frames, metrics=shown)
 
     def _initialize(self) -> str | None:
@@ -294,7 +268,7 @@ class Trainer:
                 episodes = self.config.logger.final_episodes
                 return self.evaluate(episodes, self.display.show_evaluation) if episodes else None
             except Ended as end:
-                raise Ended(end.signum, self.what_is_left()) from None
+                raise Ended(end.signum, what_is_left(self.run, self.saved_frames)) from None
             finally:
                 self.display.close()
 
@@ -315,14 +289,6 @@ class Trainer:
             raise
         finally:
             self._call("on_train_end")
-
-    def what_is_left(self) -> str:
-        """Return where the last checkpoint is and the command that goes on from it."""
-        latest = self.run.latest
-        if latest is None:
-            return f"nothing was trained in {self.run.path}"
-        command = ["python", "-m", "skatemount.train", f"resume={self.run.path}"]
-        return f"{self.saved_frames:,} steps are saved in {latest}; go on with: {shlex.join(command)}"
 
     def _call(self, hook: str, *arguments: Any) -> None:
         for callback in self.callbacks:
@@ -432,17 +398,3 @@ class Trainer:
         self.env.close()
         if self._evaluator is not None:
             self._evaluator.close()
-
-
-def next_commands(run: RunFolder) -> str:
-    """Return the commands that evaluate and film a run's latest policy, one a line, to be pasted into a shell.
-
-    The suite is the first one that is named after the run's stage; the training's own task if there is none.
-    """
-    stage = run.config["stage"]["name"] if run.latest is None else checkpoint.read_card(run.latest).stage
-    plugins = run.config.get("plugins")
-    policy = [f"checkpoint={run.path}", *([written(plugins)] if plugins else [])]
-    suite = [f"suite={name}" for name in configuration.suites() if stage in name.split("-")][:1]
-    options = configuration.config_dir_options() if suite else []
-    evaluate = ["python", "-m", "skatemount.evaluate", *options, *policy, *suite]
-    return f"next:\n  {shlex.join(evaluate)}\n  {shlex.join(['python', '-m', 'skatemount.record', *policy])}"

@@ -15,7 +15,7 @@ import torch
 from skatemount.config import compose
 from skatemount.envs import MountTask
 from skatemount.losses.ppo import PPO
-from skatemount.training.trainer import make_networks
+from skatemount.training.setup import make_networks
 
 
 @pytest.fixture(scope="module")

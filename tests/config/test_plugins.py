@@ -17,8 +17,9 @@ from skatemount.envs.observations import OBSERVATIONS
 from skatemount.envs.rewards import REWARDS
 from skatemount.envs.terminations import TERMINATIONS
 from skatemount.evaluation.suite_task import evaluation_config, load_suite
+from skatemount.training.commands import next_commands
 from skatemount.training.resume import resume_config
-from skatemount.training.trainer import Trainer, next_commands
+from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")

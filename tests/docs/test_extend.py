@@ -15,7 +15,7 @@ from skatemount.config import compose
 from skatemount.envs.tasks import TASKS
 from skatemount.evaluation import report
 from skatemount.evaluation.evaluator import Evaluator
-from skatemount.training.trainer import make_networks
+from skatemount.training.setup import make_networks
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = [

@@ -23,7 +23,7 @@ from skatemount.evaluation.results import Evaluation
 from skatemount.runs.metrics import MetricsFile
 from skatemount.training.plots import plot_learning_curves
 from skatemount.training.progress import Progress
-from skatemount.training.trainer import make_networks
+from skatemount.training.setup import make_networks
 from skatemount.utils.errors import ConfigError
 
 SHORT = [

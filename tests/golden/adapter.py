@@ -20,7 +20,7 @@ from skatemount.envs.physics.base import StartState
 from skatemount.envs.tasks import TASKS
 from skatemount.evaluation.suite_task import EvaluationTask, evaluation_config, load_suite
 from skatemount.losses.ppo import PPO
-from skatemount.training.trainer import make_networks
+from skatemount.training.setup import make_networks
 
 
 def _compose(line: str) -> configuration.TrainConfig:
