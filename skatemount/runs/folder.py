@@ -15,6 +15,7 @@ import itertools
 import json
 import math
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -134,6 +135,9 @@ class RunFolder:
                 f"{self.path}: is being trained by another process; stop that one first, or start from its policy "
                 f"with init_from={self.path}"
             ) from None
+        except (NotImplementedError, OSError) as error:
+            # Some network file systems have no locks.
+            print(f"warning: {self.path} cannot be locked ({error}); do not train in it twice at once", file=sys.stderr)
         try:
             # Only the holder may: another process would delete what this one is writing.
             atomic.recover(self.path)

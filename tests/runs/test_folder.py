@@ -257,3 +257,17 @@ def test_the_metrics_of_an_older_version_are_found(runs_root: Path) -> None:
     assert run.metrics_file.name == "metrics.csv"
     (run.path / "metrics.jsonl").touch()
     assert run.metrics_file.name == "metrics.jsonl"
+
+
+@pytest.mark.parametrize("error", [NotImplementedError("no flock here"), OSError(37, "No locks available")])
+def test_a_file_system_without_locks_is_a_warning(
+    error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(self: object) -> None:
+        raise error
+
+    monkeypatch.setattr("filelock.UnixFileLock._acquire", refuse)
+    with RunFolder(tmp_path).lock():
+        pass
+    warning = capsys.readouterr().err
+    assert str(tmp_path) in warning and "cannot be locked" in warning and str(error) in warning
