@@ -212,13 +212,26 @@ class PPO(Algorithm):
         return {"Loss/clip_fraction": means["clip_fraction"]}
 
     def _check_finite(self, batch: TensorDictBase) -> None:
-        """Raise `FloatingPointError` for values that are not finite, which would stay in the normalizers forever."""
+        """Raise `FloatingPointError` for values that are not finite, which would stay in the normalizers forever.
+
+        The error names the first cause: a weight, then the earliest step of the batch, in the order of a step.
+        """
+        for name, weights in self.networks.named_parameters():
+            if not bool(torch.isfinite(weights).all()):
+                raise FloatingPointError(f"weight {name} is not finite")
         seen = dict.fromkeys([*self.networks.critic_keys, *self.networks.actor_keys])
-        for key in [("next", "reward"), *seen, "action", *(("next", key) for key in seen)]:
-            finite = torch.isfinite(batch[key]).flatten(1).all(1)
-            if not bool(finite.all()):
-                name = key if isinstance(key, str) else ".".join(key)
-                raise FloatingPointError(f"{name} is not finite in {int((~finite).sum())} of {len(finite)} worlds")
+        order = [*seen, "action", *(("next", key) for key in seen), ("next", "reward")]
+        broken = {key: ~torch.isfinite(batch[key]).flatten(2).all(2) for key in order}
+        if not any(bool(flags.any()) for flags in broken.values()):
+            return
+        key = min((key for key in order if broken[key].any()), key=lambda k: int(broken[k].any(0).int().argmax()))
+        step = int(broken[key].any(0).int().argmax())
+        worlds = broken[key].any(1)
+        world = int(broken[key][:, step].int().argmax())
+        raise FloatingPointError(
+            f"{key if isinstance(key, str) else '.'.join(key)} is not finite in {int(worlds.sum())} of {len(worlds)} "
+            f"worlds, first in world {world} at step {step} of the batch"
+        )
 
     def _step(self, part: TensorDictBase) -> dict[str, Tensor]:
         """Take a gradient step on a minibatch, ``[rows]``, and return the losses."""

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 
+from skatemount.agents.trained_policy import TrainedPolicy
+from skatemount.agents.transfer import load_pretrained
 from skatemount.config import TrainConfig
+from skatemount.envs import MountTask
 from skatemount.envs.mdp import Mdp
 from skatemount.envs.mirror import mirror_map
 from skatemount.envs.physics.cpu import available_cores
@@ -30,3 +35,31 @@ def make_networks(config: TrainConfig, mdp: Mdp) -> Networks:
         images = observation.mirror(), privileged.mirror(), mirror_map("joints", layout.num_joints, layout)
         reflections = Reflection(*images[0]), Reflection(*images[1]), Reflection(*images[2])
     return models.make_networks(config.network, observation.size, privileged.size, layout.num_joints, reflections)
+
+
+def load_initial_policy(
+    config: TrainConfig, networks: Networks, task: MountTask
+) -> tuple[str | None, dict[str, Any] | None]:
+    """Load the policy that the settings name into new networks.
+
+    Args:
+        config: Every setting.
+        networks: The networks; those of the policy if one is named.
+        task: The task of the training.
+
+    Returns:
+        The policy's name for the user, and its provenance for the run folder; both None to train from scratch.
+
+    Raises:
+        ConfigError: There is no such policy, or it does not fit.
+    """
+    spec = config.stage.init_from if config.init_from == "stage" else config.init_from
+    if spec is None:
+        return None, None
+    agent = TrainedPolicy.load(spec, config.logger.root, "init_from")
+    load_pretrained(networks, agent, task, config.init_from_expand, f"init_from={spec}")
+    # This run sets how widely to explore: a policy that learned to walk explores too much for standing.
+    networks.limit_std(config.network.max_std)
+    card = agent.card
+    parent = {"init_from": spec, "policy": agent.spec, "frames": card.frames, "sha256": card.sha256}
+    return spec if spec == agent.spec else f"{spec} ({agent.spec})", parent

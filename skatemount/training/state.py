@@ -106,6 +106,10 @@ class CallbackStates:
                 callback.load_state_dict(state[name])
 
 
+ADDED = ("guard",)
+"""Parts that older checkpoints lack; they start fresh."""
+
+
 def save_parts(parts: Mapping[str, Stateful]) -> dict[str, Any]:
     """Return the states of named parts, for `save_checkpoint`."""
     return {name: dict(part.state_dict()) for name, part in parts.items()}
@@ -123,6 +127,7 @@ def load_parts(parts: Mapping[str, Stateful], state: Mapping[str, Any], where: s
         ConfigError: The state lacks a part; nothing is restored then. Or a part does not fit, because the run's
             settings or its state were changed.
     """
+    parts = {name: part for name, part in parts.items() if name in state or name not in ADDED}
     if missing := [name for name in parts if name not in state]:
         raise ConfigError(
             f"{where}: its training state has no part {missing[0]!r}, only {', '.join(state)}; it cannot be resumed "

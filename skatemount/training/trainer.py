@@ -14,8 +14,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
 from skatemount import config as configuration
-from skatemount.agents.trained_policy import MODULE, TrainedPolicy, make_policy_card
-from skatemount.agents.transfer import load_pretrained
+from skatemount.agents.trained_policy import MODULE, make_policy_card
 from skatemount.config import TrainConfig
 from skatemount.curriculum.base import make_curriculum
 from skatemount.curriculum.stuck_states import StuckStateBuffer
@@ -29,9 +28,10 @@ from skatemount.runs.folder import RunFolder
 from skatemount.runs.sweep import SweepFolder
 from skatemount.training.callbacks import Callback, arrange_callbacks, make_callbacks
 from skatemount.training.commands import what_is_left
+from skatemount.training.guard import UpdateGuard
 from skatemount.training.memory import RestoredMemory, memory_after
 from skatemount.training.progress import Progress
-from skatemount.training.setup import make_networks, set_up_process
+from skatemount.training.setup import load_initial_policy, make_networks, set_up_process
 from skatemount.training.state import (
     Attributes,
     CallbackStates,
@@ -124,12 +124,12 @@ class Trainer:
         self.callbacks = arrange_callbacks([*callbacks, *make_callbacks(config.callbacks)])
         self.frames = self.iteration = self.saved_frames = 0
         self.elapsed = 0.0
-        self.parent: dict[str, Any] | None = None
         self._stopped = False
         self._evaluator: Evaluator | None = None
         self._collect_normalizer_stats = False
         # The state before the present iteration; none between iterations.
         self._before: dict[str, Any] | None = None
+        self._guard = UpdateGuard()
         self._held = ExitStack()
         if config.resume is not None:
             self.run = RunFolder.open(config.resume)
@@ -141,7 +141,7 @@ class Trainer:
                 self._held.close()
                 raise
         else:
-            self.started_from = self._initialize()
+            self.started_from, self.parent = load_initial_policy(config, self.networks, self.task)
             if self.started_from is not None:
                 self.algorithm.use_min_learning_rate()
                 if config.stage.renormalize:
@@ -162,25 +162,6 @@ class Trainer:
         shown, every = mdp.definition.metrics_of(mdp.definition.progress), config.logger.progress_every
         self.display = Progress(config.total_frames, config.stage.name, every, self.frames, metrics=shown)
 
-    def _initialize(self) -> str | None:
-        """Load the policy that the settings name, if any, and return its name."""
-        spec = self.config.init_from
-        if spec == "stage":
-            spec = self.config.stage.init_from
-        if spec is None:
-            return None
-        agent = TrainedPolicy.load(spec, self.config.logger.root, "init_from")
-        load_pretrained(self.networks, agent, self.task, self.config.init_from_expand, f"init_from={spec}")
-        # This run sets how widely to explore: a policy that learned to walk explores too much for standing.
-        self.networks.limit_std(self.config.network.max_std)
-        self.parent = {
-            "init_from": spec,
-            "policy": agent.spec,
-            "frames": agent.card.frames,
-            "sha256": agent.card.sha256,
-        }
-        return spec if spec == agent.spec else f"{spec} ({agent.spec})"
-
     @property
     def parts(self) -> dict[str, Stateful]:
         """The named parts of the training state, which a checkpoint keeps."""
@@ -191,6 +172,7 @@ class Trainer:
         return parts | {
             "generators": Generators(self.env.physics.device, minibatches=self._minibatch_generator),
             "env": Generators(generator=self.env.generator),
+            "guard": self._guard,
             "progress": Attributes(self, "frames", "iteration", "elapsed"),
             "callbacks": CallbackStates(self.callbacks),
         }
@@ -253,7 +235,7 @@ class Trainer:
 
         Raises:
             ConfigError: Nothing is left to train, or another process is training in the same run folder.
-            FloatingPointError: A value is not finite; the last checkpoint is from before.
+            FloatingPointError: Several updates in a row were not finite; see `skatemount.training.guard`.
             KeyboardInterrupt: A signal ended the training; all complete iterations are in a checkpoint. It is
                 `skatemount.utils.signals.Ended`, and says where they are.
         """
@@ -361,7 +343,15 @@ class Trainer:
             self.networks.observe(batch)
             self._collect_normalizer_stats = False
             return {}
-        return self.algorithm.update(batch)
+
+        def undo() -> None:
+            assert self._before is not None
+            # The random states go on, or the next iteration would be the same.
+            weights = {name: part for name, part in self.parts.items() if name in ("networks", "ppo")}
+            load_parts(weights, self._before["parts"], "the state before this iteration")
+
+        last = str(self.run.latest or "none yet")
+        return self._guard.update(lambda: self.algorithm.update(batch), undo, self.frames, last)
 
     def evaluate(self, episodes: int, progress: Callable[[int, int], None] | None = None) -> Evaluation:
         """Evaluate the policy in the training's task, with deterministic actions and seeds that training never uses.

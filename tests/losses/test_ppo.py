@@ -270,6 +270,24 @@ def test_what_is_not_finite_changes_nothing(key: str | tuple[str, str], value: f
     ppo.update(collect(ppo.networks, seed=1))  # and it can go on
 
 
+def test_the_first_cause_is_named() -> None:
+    ppo = make()
+    batch = collect(ppo.networks)
+    batch["next", "reward"][1, 2] = math.nan
+    batch["observation"][4, 3] = math.nan
+    batch["action"][4, 3] = math.nan
+    with pytest.raises(FloatingPointError, match=r"^next.reward .* first in world 1 at step 2 of the batch$"):
+        ppo.update(batch)
+    batch["observation"][5, 2] = math.inf
+    with pytest.raises(FloatingPointError, match=r"^observation .* in 2 of 16 worlds, first in world 5 at step 2"):
+        ppo.update(batch)
+    name, weights_ = next(iter(ppo.networks.named_parameters()))
+    with torch.no_grad():
+        weights_[0] = math.nan
+    with pytest.raises(FloatingPointError, match=f"^weight {name} is not finite$"):
+        ppo.update(batch)
+
+
 def test_loss_that_is_not_finite_changes_no_weight() -> None:
     ppo = make()
     batch = collect(ppo.networks)
