@@ -121,6 +121,7 @@ class _Task:
             return None if record["success"] is None else float(record["success"])
         again = f"; repeated, it failed before: {record['error']}" if record is not None else ""
         print(f"{job.describe()}{again}", flush=True)
+        resumes = program == TRAIN and job.cut_off_run() is not None
         try:
             config = checked(plain(composed), program)
             if program == TRAIN:
@@ -132,7 +133,9 @@ class _Task:
             if os.environ.get("SKATEMOUNT_TRACEBACK") or not _is_for_users(error):
                 traceback.print_exc()
             text = reason(error)
-            job.write_record(None, text, job.cut_off_run() if program == TRAIN else None)
+            # A full disk, or a run that another process trains, says nothing against the last checkpoint.
+            can_go_on = isinstance(error, OSError) or resumes and isinstance(error, ConfigError)
+            job.write_record(None, text, None if can_go_on or program != TRAIN else job.cut_off_run())
             print(_failed(program, job.describe(), text), file=sys.stderr, flush=True)
             return FAILED_SCORE
         job.write_record(score)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -270,20 +273,78 @@ def test_trainings_resume_in_a_sweep(
     assert json.loads((sweep / "jobs" / "seed=2.json").read_text()) == record
 
 
-def test_what_failed_is_repeated_from_its_start(
-    command: Callable[..., Any], runs_root: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("error", "said", "run"),
+    [
+        (OSError(28, "No space left on device", "somewhere"), "somewhere: No space left on device", "run"),
+        (FloatingPointError("loss is nan"), "loss is nan", "run_2"),
+    ],
+)
+def test_what_failed_is_repeated_and_goes_on_after_a_full_disk(
+    error: Exception,
+    said: str,
+    run: str,
+    command: Callable[..., Any],
+    runs_root: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    arguments = ["-m", "stage=balance", "seed=1", *TINY, f"total_frames={BATCH}", "logger.evaluate_every=0"]
+    arguments = ["-m", "stage=balance", "seed=1", *TINY, f"total_frames={2 * BATCH}"]
 
     def fail(self: CheckpointCallback, trainer: Trainer, metrics: dict[str, float]) -> None:
-        raise OSError(28, "No space left on device", "somewhere")
+        trainer.save(metrics)
+        raise error
 
     with monkeypatch.context() as patched:
         patched.setattr(CheckpointCallback, "on_iteration_end", fail)
         status, _, err = command(train, *arguments)
-    assert status == 1 and err.endswith(": failed: somewhere: No space left on device\n")
+    assert status == 1 and err.endswith(f": failed: {said}\n") and "Traceback" not in err
     status, out, _ = command(train, *arguments)
     (sweep,) = sweeps(runs_root)
-    assert status == 0 and "repeated, it failed before: somewhere: No space" in out
+    assert status == 0 and f"repeated, it failed before: {said}\n" in out
+    assert (f"resumes runs/skatemount/{sweep.name}/run\n" in out) == (run == "run")
     record = json.loads((sweep / "jobs" / "run.json").read_text())
-    assert (record["status"], record["run"], record["success"]) == ("finished", "run_2", None)
+    assert (record["status"], record["run"], record["success"]) == ("finished", run, None)
+    assert record["steps"] == 2 * BATCH
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("launcher", ["basic", "joblib"])
+def test_a_killed_multirun_resumes_in_processes(launcher: str, runs_root: Path) -> None:
+    tiny = [each for each in TINY if not each.startswith("logger.final")]
+    arguments = [
+        "-m", "stage=balance", "physics.num_worlds=8,0", "seed=1,2", *tiny[1:], "total_frames=3200",
+        "logger.final_episodes=4", "logger.checkpoint_every=5", f"hydra/launcher={launcher}",
+        *(["hydra.launcher.n_jobs=2"] if launcher == "joblib" else []),
+    ]  # fmt: skip
+
+    def start() -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, "-m", "skatemount.train", *arguments],
+            cwd=runs_root.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        )  # fmt: skip
+
+    process = start()
+    try:
+        while not list(runs_root.glob("*/*/num_worlds=8,seed=1/checkpoints/step_*")):
+            assert process.poll() is None, process.communicate()[1]
+            time.sleep(0.05)
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+    (sweep,) = sweeps(runs_root)
+    assert not (sweep / "results.json").exists()
+
+    process = start()
+    out, err = process.communicate()
+    assert process.returncode == 1, err
+    assert f"resumes runs/skatemount/{sweep.name}/num_worlds=8,seed=1\n" in out
+    assert sweeps(runs_root) == [sweep]
+    jobs = json.loads((sweep / "results.json").read_text())["jobs"]
+    assert [(job["status"], job["steps"], job["run"]) for job in jobs] == [
+        ("finished", 3200, "num_worlds=8,seed=1"),
+        ("finished", 3200, "num_worlds=8,seed=2"),
+        ("failed", None, None),
+        ("failed", None, None),
+    ]
+    assert err.count("seed=1: failed: physics.num_worlds=0 must be at least 1") == 2
+    assert "\x1b" not in out + err
