@@ -149,7 +149,9 @@ def test_sigterm_leaves_a_run_that_can_go_on(runs_root: Path) -> None:
 
 def test_a_stage_with_and_without_a_plus_in_a_multirun(command: Callable[..., Any], runs_root: Path) -> None:
     for stage in ("stage=balance,mount", "+stage=balance,mount"):
-        status, out, err = command("-m", stage, *TINY, f"total_frames={BATCH}", "init_from=null")
+        # Without an experiment of its own the second would find everything finished.
+        experiment = f"logger.experiment={stage[0]}"
+        status, out, err = command("-m", stage, *TINY, f"total_frames={BATCH}", "init_from=null", experiment)
         assert status == 0 and "balance: 8 worlds" in out and "mount: 8 worlds" in out, err
 
 
