@@ -287,10 +287,10 @@ def follow(pointer: Path) -> Path | None:
 
 def _check_name(setting: str, value: str) -> None:
     fits = 0 < len(value.encode("utf-8", "replace")) <= MAX_NAME and value.isprintable() and value.strip() == value
-    if not fits or "/" in value or "\\" in value or value.startswith("."):
+    if not fits or "/" in value or "\\" in value or value.startswith((".", "-")):
         raise ConfigError(
             f"{setting}={value!r} must be the name of one folder: printable characters without / and \\, at most "
-            f"{MAX_NAME} bytes, no dot or blank in front, no blank at the end"
+            f"{MAX_NAME} bytes, no dot, hyphen or blank in front, no blank at the end"
         )
 
 

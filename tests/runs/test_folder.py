@@ -62,7 +62,7 @@ def test_runs_of_the_same_second_get_folders_of_their_own(runs_root: Path) -> No
     assert sorted(paths) == paths
 
 
-@pytest.mark.parametrize("name", ["", "a/b", "..", "-x", "a b"])
+@pytest.mark.parametrize("name", ["", "a/b", "..", "-x", " a"])
 def test_create_refuses_names_that_are_not_one_path_component(runs_root: Path, name: str) -> None:
     with pytest.raises(ConfigError, match="name="):
         RunFolder.create(runs_root, "exp", name, {}, [])
