@@ -222,7 +222,7 @@ def test_steps_become_small_at_the_end() -> None:
             dict(final_target_kl=0.02, target_kl=0.01),
             r"algorithm\.final_target_kl=0\.02 must be at most algorithm\.target_kl=0\.01",
         ),
-        (dict(kl_anneal_fraction=1.5), r"algorithm\.kl_anneal_fraction=1\.5 must be a share of the frames, at most 1"),
+        (dict(kl_anneal_fraction=1.5), r"algorithm\.kl_anneal_fraction=1\.5 must be above 0 and at most 1"),
     ],
 )
 def test_impossible_schedules_are_refused(settings: dict[str, Any], message: str) -> None:

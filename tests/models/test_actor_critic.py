@@ -198,7 +198,7 @@ def test_learners_do_what_actor_and_critic_do(symmetric: bool, normalize: bool) 
         (dict(actor=[]), "network.actor=[]"),
         (dict(critic=[8, 0]), "network.critic=[8, 0]"),
         (dict(activation="gelu"), "network.activation=gelu must be one of elu"),
-        (dict(min_std=0.0), "0 < min_std"),
+        (dict(min_std=0.0), "min_std=0.0 must be above 0"),
         (dict(init_std=0.01), "init_std=0.01"),
         (dict(max_std=0.1), "max_std=0.1"),
     ],

@@ -100,8 +100,8 @@ def test_the_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("bench.rounds=0", "bench.rounds=0 must be at least 1"),
-        ("bench.worlds=[64,0]", r"bench.worlds=\[64, 0\] must be numbers of at least 1"),
+        ("bench.rounds=0", "bench.rounds=0 must be from 1"),
+        ("bench.worlds=[64,0]", r"bench.worlds=\[64, 0\] must be a list of numbers, each from 1"),
         ("bench.seconds=0", "bench.seconds=0.0 must be above 0"),
     ],
 )
