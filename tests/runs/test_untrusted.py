@@ -242,7 +242,7 @@ def test_a_run_from_elsewhere_imports_no_curriculum(copied: RunFolder, tmp_path:
     path.write_text(yaml.safe_dump(config))
     given = [f"resume={copied.path}", f"logger.root={tmp_path / 'mine'}"]
     text = message(lambda: resume_config(compose(None, given), given))
-    assert "a_module_of_somebody" in text and "if you trust them" in text
+    assert "a_module_of_somebody" in text and "if you trust it" in text
     assert "a_module_of_somebody" not in sys.modules
 
 
