@@ -20,7 +20,7 @@ from skatemount.config.messages import is_of_library, reason
 from skatemount.config.overrides import prepare, read
 from skatemount.config.versions import rename_override
 from skatemount.utils.errors import ConfigError
-from skatemount.utils.quiet import ignore_torchrl_warnings
+from skatemount.utils.quiet import ignore_library_warnings
 from skatemount.utils.terminal import safe_streams
 
 
@@ -38,7 +38,7 @@ def run(verb: Callable[..., float | None], program: str) -> None:
     """
     # Without this Hydra prints a screen of its own and ends the program itself.
     os.environ["HYDRA_FULL_ERROR"] = "1"
-    ignore_torchrl_warnings()
+    ignore_library_warnings()
 
     def fail(error: Exception) -> NoReturn:
         if os.environ.get("SKATEMOUNT_TRACEBACK"):

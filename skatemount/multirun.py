@@ -24,7 +24,7 @@ from skatemount.evaluation import sweep_report
 from skatemount.runs import atomic
 from skatemount.runs.sweep import RESULTS_FILE, Job, SweepFolder, key_of, open_sweep
 from skatemount.utils.errors import ConfigError
-from skatemount.utils.quiet import ignore_torchrl_warnings
+from skatemount.utils.quiet import ignore_library_warnings
 from skatemount.utils.terminal import safe_streams
 
 TRAIN = "train"
@@ -104,7 +104,7 @@ class _Task:
         """
         elsewhere = os.getpid() != self.process
         if elsewhere:
-            ignore_torchrl_warnings()
+            ignore_library_warnings()
             configuration.set_user_config_dir(self.sweep.config_dir)
         with safe_streams(live=not elsewhere):
             state = HydraConfig.get()

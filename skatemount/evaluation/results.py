@@ -12,6 +12,16 @@ from skatemount.evaluation.intervals import wilson_interval
 from skatemount.evaluation.records import EpisodeRecords
 
 
+END_WORDS = {
+    "tilt": "robot fell",
+    "trunk_contact": "trunk touched something",
+    "board_tilt": "board tipped over",
+    "out_of_reach": "walked away",
+    "diverged": "physics failed",
+}
+"""Ends before the time limit in words. A task has the words for its failure at the time limit."""
+
+
 @dataclass
 class Evaluation:
     """Results of the evaluated episodes.
@@ -148,10 +158,10 @@ class Evaluation:
 
 
 def in_words(end: str, task: TaskDefinition) -> str:
-    """Return the name of an episode's end in words.
+    """Return the name of an episode's end in words; that of a termination of one's own without underscores.
 
     Args:
         end: The task's failure at the time limit, or a termination.
         task: The task.
     """
-    return {task.failure: task.failure_words, "diverged": "physics failed"}.get(end, end.replace("_", " "))
+    return {task.failure: task.failure_words, **END_WORDS}.get(end, end.replace("_", " "))

@@ -24,7 +24,7 @@ from skatemount.profiling.workload import BenchWorkload
 from skatemount.runs.provenance import package_versions
 from skatemount.training.trainer import Trainer
 from skatemount.utils.devices import choose_device
-from skatemount.utils.quiet import ignore_torchrl_warnings
+from skatemount.utils.quiet import ignore_library_warnings
 
 FIGURES = ("raw", "env", "collect", "learn", "train")
 """Steps per second of: physics alone, the environment, collecting (with the policy), learning, the whole training."""
@@ -136,7 +136,7 @@ def measure(config: BenchProgramConfig, overrides: list[str], report: Callable[[
 def in_fresh_process(work: Callable[..., Any], *arguments: Any) -> Any:
     """Return a function's result from a new process: memory of its own, and not warmed up by earlier measurements."""
     spawn = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(1, mp_context=spawn, initializer=ignore_torchrl_warnings) as pool:
+    with concurrent.futures.ProcessPoolExecutor(1, mp_context=spawn, initializer=ignore_library_warnings) as pool:
         return pool.submit(work, *arguments).result()
 
 
