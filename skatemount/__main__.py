@@ -25,8 +25,9 @@ def help_text() -> str:
     for name, (example, about) in PROGRAMS.items():
         lines.append(f"  {f'skatemount {name} {example}':52}{about}")
     lines.append(
-        "python -m skatemount.train is the same as skatemount train, and so on. --cfg job prints all settings."
+        "python -m skatemount <program> is the same. train, evaluate, record and bench are modules too, such as"
     )
+    lines.append("python -m skatemount.train; their option --cfg job prints all settings.")
     return "\n".join(lines)
 
 

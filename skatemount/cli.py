@@ -17,7 +17,7 @@ from skatemount import multirun
 from skatemount.config import config_dir, set_user_config_dir, stages, suites
 from skatemount.config.compose import checked, plain
 from skatemount.config.messages import is_of_library, reason
-from skatemount.config.overrides import prepare, read
+from skatemount.config.overrides import check_option, prepare, read
 from skatemount.config.versions import rename_override
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.quiet import ignore_library_warnings
@@ -134,6 +134,8 @@ def _prepared(arguments: list[str], program: str) -> tuple[list[str], list[str]]
         is_setting = not options_value and not argument.startswith("-")
         options_value = argument.startswith("-") and argument in _WITH_VALUE
         if not is_setting:
+            if argument.startswith("-"):
+                check_option(argument, program)
             result.append(argument)
             continue
         today = rename_override(argument)

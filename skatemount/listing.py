@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import json
 import re
 import sys
@@ -14,10 +15,11 @@ from skatemount.cli import config_dir_of
 from skatemount.config.files import choices, find_file
 from skatemount.config.plugins import import_plugins
 from skatemount.config.registries import ALGORITHMS, CALLBACKS, COMMANDS, CURRICULA, LOGGERS, NETWORKS
-from skatemount.runs.shipped import PRETRAINED, shipped_file, shipped_policies
+from skatemount.runs.shipped import ALIASES, PRETRAINED, shipped_file, shipped_policies
 from skatemount.utils.classes import ClassRegistry
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_count
+from skatemount.utils.quiet import ignore_library_warnings
 from skatemount.utils.terminal import safe_streams
 
 
@@ -36,14 +38,29 @@ def _of_group(group: str) -> dict[str, str]:
 
 
 def _policies() -> dict[str, str]:
-    """Return the shipped policies with the stage and the length of their training."""
+    """Return the shipped policies with the length, the stage and the initial policy of their training."""
     found = {}
     for name in shipped_policies():
         file = shipped_file(name.removeprefix(PRETRAINED))
         assert file is not None
         card = json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
-        found[name] = f"trained in stage {card['stage']}, {format_count(card['frames'])} steps"
+        config = card["config"]
+        first = config["init_from"] if config["init_from"] != "stage" else config["stage"]["init_from"]
+        first = "scratch" if first is None else _today(first)
+        found[name] = f"{format_count(card['frames'])} steps in stage {config['stage']['name']}, from {first}"
+        if note := _NOTES.get(name):
+            found[name] += f"; {note}"
     return found
+
+
+_NOTES = {"pretrained:anywhere": "with the settings, given one by one, that stage anywhere has since"}
+"""What a policy's card does not say."""
+
+
+def _today(name: str) -> str:
+    """Return the present name of a shipped policy."""
+    old = name.removeprefix(PRETRAINED)
+    return f"{PRETRAINED}{ALIASES.get(old, old)}"
 
 
 def _rewards() -> dict[str, str]:
@@ -134,7 +151,9 @@ def listed(arguments: Sequence[str]) -> str:
         elif argument in KINDS:
             kinds.append(argument)
         elif not argument.startswith(("--config-dir=", "-cd=")) and argument not in ("--help", "-h"):
-            raise ConfigError(f"{argument} cannot be listed; there are: {', '.join(KINDS)}")
+            close = difflib.get_close_matches(argument, KINDS, n=1)
+            hint = f" (did you mean {close[0]}?)" if close else ""
+            raise ConfigError(f"{argument} cannot be listed{hint}; there are: {', '.join(KINDS)}")
     import_plugins(plugins)
     if not kinds:
         return "skatemount list <kind>\n\n" + _table({name: about for name, (about, _) in KINDS.items()})
@@ -160,6 +179,7 @@ def _table(rows: dict[str, str]) -> str:
 @safe_streams()
 def main() -> None:
     """Run the program."""
+    ignore_library_warnings()
     try:
         print(listed(sys.argv[1:]))
     except (ConfigError, OSError) as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 from skatemount.utils.signals import exiting_by_signals
@@ -28,6 +29,10 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
     Raises:
         ConfigError: No stage, or a setting that cannot be used.
     """
+    if sys.stderr.isatty():
+        # The imports take seconds.
+        print("loading ...", file=sys.stderr, flush=True)
+
     from skatemount.config import stages
     from skatemount.evaluation import report
     from skatemount.training.chain import chain_to_train
@@ -50,9 +55,9 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
         print(f"run: {chain.run.path}\n{next_commands(chain.run)}")
         return score_of(chain.run)
     if config.resume is None and not config.stage.name:
-        listed = "; ".join(f"{name} ({about})" for name, about in stages().items())
         raise ConfigError(
-            f"no stage: give stage=<name>, or curriculum=paper for a chain of stages. There are: {listed}"
+            f"no stage: give stage=<name>, one of {', '.join(stages())} (skatemount list stages describes them), or "
+            "curriculum=paper"
         )
     trainer = Trainer(resume_config(config, overrides), overrides, sweep if config.resume is None else None)
     print(trainer.describe(), flush=True)

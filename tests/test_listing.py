@@ -41,6 +41,11 @@ def test_every_row_has_a_description_of_one_line(kind: str) -> None:
 def test_a_table_has_every_name() -> None:
     assert rows("stages") == stages()
     assert list(rows("boards")) == choices("board") and list(rows("policies")) == shipped_policies()
+    assert rows("policies")["pretrained:anywhere"] == (
+        "8.01M steps in stage unfixed, from pretrained:unfixed-two-frames; with the settings, given one by one, that "
+        "stage anywhere has since"
+    )
+    assert rows("policies")["pretrained:unfixed"] == "45.0M steps in stage unfixed, from scratch"
     assert list(rows("rewards")) == REWARDS.names()
     assert "feet that press on the deck" in rows("rewards")["feet_on_board"]
 
@@ -73,7 +78,7 @@ def test_ones_own_files_and_terms_are_listed(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (["stage"], "stage cannot be listed; there are: stages, tasks, suites,"),
+        (["stage"], "stage cannot be listed (did you mean stages?); there are: stages, tasks, suites,"),
         (["rewards", "plugins=terms"], "plugins=terms must be a list such as [a, b]"),
         (["rewards", "plugins=[no_such]"], "plugins=[no_such]: there is no module no_such"),
         (["stages", "--config-dir", "nowhere"], "--config-dir nowhere: there is no such folder"),

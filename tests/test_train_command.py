@@ -60,7 +60,7 @@ def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:
         (["+stage=balance", "total_frame=3"], "total_frame"),
         (["+stage=balance", "reward.alive.weight=-1", "physics.num_worlds=2"], "reward.alive.weight=-1.0 must be"),
         (["+stage=balance", "network=smal"], "small"),
-        (["+stage=mount", "init_from=runs/none", "physics.num_worlds=2"], "init_from='runs/none': not found"),
+        (["+stage=mount", "init_from=runs/none", "physics.num_worlds=2"], "init_from=runs/none: not found"),
         (["+stage=mount", "init_from=pretrained:none", "physics.num_worlds=2"], "no such policy"),
         (["resume=runs/none"], "runs/none"),
         (

@@ -33,19 +33,7 @@ RESULTS = ROOT / "docs" / "results"
 FORMAT = 1
 MARK = re.compile(r"<!-- result (\S+) -->(.*?)<!-- end -->", re.DOTALL)
 
-FAILURES = {
-    "not_mounted": "not mounted at the time limit",
-    "not_followed": "did not follow the command",
-    "not_held": "not mounted all the time",
-    "tilt": "robot fell",
-    "board_tilt": "board tipped over",
-    "trunk_contact": "trunk touched something",
-    "out_of_reach": "walked away",
-    "diverged": "physics failed",
-}
-"""Words for the ends of a failed episode."""
-
-SUMMARY = ("approach-unfixed", "mount-unfixed", "rolling", "low-friction", "far", "pushed")
+SUMMARY = ("approach-unfixed", "mount-unfixed", "rolling", "low-friction", "other-boards", "far", "pushed")
 """Suites in the short table of the README: the free board, from easy to hard."""
 
 SHORT = {
@@ -53,6 +41,7 @@ SHORT = {
     "mount-unfixed": "in a 60 × 60 cm square around the board, any heading",
     "rolling": "beside a board that already rolls at up to 0.5 m/s",
     "low-friction": "beside the board, friction at 0.4 to 0.6 of nominal",
+    "other-boards": "beside one of ten boards that training did not have",
     "far": "1 to 2 m away; training never went beyond 1.05 m",
     "pushed": "beside the board, with pushes of up to 0.5 m/s; training had none",
 }
@@ -71,7 +60,17 @@ def interval(suite: dict[str, Any]) -> str:
 
 def failures(suite: dict[str, Any]) -> str:
     """Return what ended the failed episodes, with counts, the most frequent first."""
-    return ", ".join(f"{FAILURES.get(name, name)} {count}" for name, count in suite["failures"].items()) or "none"
+    return ", ".join(f"{_in_words(name)} {count}" for name, count in suite["failures"].items()) or "none"
+
+
+def _in_words(end: str) -> str:
+    """Return the name of an episode's end in the words of `python -m skatemount.evaluate`."""
+    # Imported only here because it needs torch.
+    from skatemount.envs.tasks import TASKS
+    from skatemount.evaluation.results import in_words
+
+    tasks = [TASKS.get(name) for name in TASKS.names()]
+    return in_words(end, next((task for task in tasks if task.failure == end), tasks[0]))
 
 
 def time_to_mount(suite: dict[str, Any]) -> str:
@@ -100,22 +99,28 @@ def provenance(results: dict[str, Any]) -> str:
 
 
 def command(results: dict[str, Any]) -> str:
-    """Return the command as a block."""
-    return f"\n```console\n$ {results['command']}\n```\n"
+    """Return the command as a block, with today's names of shipped policies."""
+    from skatemount.runs.shipped import ALIASES, PRETRAINED
+
+    words = results["command"]
+    for old, new in ALIASES.items():
+        words = re.sub(rf"={PRETRAINED}{old}(?=\s|$)", f"={PRETRAINED}{new}", words)
+    return f"\n```console\n$ {words}\n```\n"
 
 
 def table(results: dict[str, Any]) -> str:
-    """Return a row for each suite whose task is to mount a board. Other tasks have no time to mount."""
+    """Return a row for each suite; one of another task than to mount a board has no time to mount and no feet."""
     rows = [
         "| suite | success | 95 % interval | time to mount | feet on board | failures |",
         "|---|---|---|---|---|---|",
     ]
     for name, suite in results["suites"].items():
-        if suite["stage"] != "gait" and "time_to_mount" in suite:
-            rows.append(
-                f"| `{name}` | {percent(suite['success']['rate'])} | {interval(suite)} | {time_to_mount(suite)} "
-                f"| {suite['feet_on_board']:.2f} | {failures(suite)} |"
-            )
+        mounts = suite["stage"] != "gait" and "time_to_mount" in suite
+        time, feet = (time_to_mount(suite), f"{suite['feet_on_board']:.2f}") if mounts else ("–", "–")
+        rows.append(
+            f"| `{name}` | {percent(suite['success']['rate'])} | {interval(suite)} | {time} | {feet} "
+            f"| {failures(suite)} |"
+        )
     return "\n".join(["", *rows, ""])
 
 

@@ -110,10 +110,13 @@ class SwitchingAgent(TrainedPolicy):
         names = spec.split("+")
         if len(names) != 2 or not all(names):
             raise ConfigError(f"pipeline={spec} must be two policies, WALK+MOUNT, such as gait+mount")
-        walker, mounter = (
-            TrainedPolicy.load(f"{PRETRAINED}{name}" if shipped_file(name) else name, root, "pipeline")
-            for name in names
-        )
+        try:
+            walker, mounter = (
+                TrainedPolicy.load(f"{PRETRAINED}{name}" if shipped_file(name) else name, root, "pipeline")
+                for name in names
+            )
+        except ConfigError as error:
+            raise ConfigError(f"pipeline={spec}: {str(error).removeprefix('pipeline=')}") from error
         if walker.card.action != mounter.card.action:
             raise ConfigError(
                 f"pipeline={spec}: the actions of {names[0]} and {names[1]} have different meanings (joints, pose, "

@@ -7,6 +7,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
+from skatemount import config as configuration
 from skatemount.agents.interface import (
     ObservationLayout,
     check_actions,
@@ -15,6 +16,7 @@ from skatemount.agents.interface import (
     observation_layout,
 )
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, load_weights
+from skatemount.config.files import choices
 from skatemount.envs import MountTask
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.models.base import Networks
@@ -50,13 +52,22 @@ def load_pretrained(networks: Networks, agent: TrainedPolicy, task: MountTask, m
     try:
         check_interface(agent.card, task, where)
     except ConfigError as error:
-        advice = "set for this run what the policy was trained with, or another init_from"
+        choice = _observation_choice(agent)
+        advice = f"give {choice or 'the observation that the policy was trained with'}, or another init_from"
         if _gives_all_inputs(agent, task, where):
             advice += ", or init_from_expand=true to extend the policy to the longer observation"
         raise ConfigError(f"{error}: {advice}") from error
     for name in ("actor", "critic"):
         _check_same(name, networks.config, agent.config.network, where, ", or init_from_expand=true for a larger one")
     load_weights(networks, {MODULE: agent.networks.state_dict()}, where)
+
+
+def _observation_choice(agent: TrainedPolicy) -> str | None:
+    """Return the setting that chooses the observation of a policy's training; None if no file of the group has it."""
+    for name in choices("observation"):
+        if configuration.compose(None, [f"observation={name}"]).observation == agent.config.observation:
+            return f"observation={name}"
+    return None
 
 
 def _gives_all_inputs(agent: TrainedPolicy, task: MountTask, where: str) -> bool:

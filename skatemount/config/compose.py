@@ -209,7 +209,8 @@ def _wrong_type(error: OmegaConfBaseException, values: dict[str, Any], schema: t
     value: Any = values
     for part in key.split("."):
         value = value.get(part) if isinstance(value, dict) else None
-    return f"{key}={'null' if value is None else value} must be {in_words(hint)}"
+    text = f"[{', '.join(map(str, value))}]" if isinstance(value, list) else "null" if value is None else value
+    return f"{key}={text} must be {in_words(hint)}"
 
 
 def from_dict(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import functools
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -144,7 +145,16 @@ def suites() -> dict[str, str]:
 def check_choice(group: str, name: str) -> None:
     """Raise `ConfigError` unless a group has a file of that name."""
     if name not in choices(group):
-        raise ConfigError(f"{group}={name}: there is no {group} {name}; there are: {', '.join(choices(group))}")
+        raise ConfigError(f"{group}={name}: {no_choice(group, name)}")
+
+
+def no_choice(group: str, name: str) -> str:
+    """Return the error for a name that a group does not have, with a suggestion and the names that there are."""
+    known = choices(group)
+    # A part of a name means it more often than a name that looks alike.
+    close = [each for each in known if name and name in each.split("-")] or difflib.get_close_matches(name, known, n=2)
+    hint = f" (did you mean {' or '.join(close)}?)" if close else ""
+    return f"there is no {group} {name}{hint}; there are: {', '.join(known)}"
 
 
 def _described(group: str, key: str) -> dict[str, str]:

@@ -121,8 +121,8 @@ def in_words(hint: Any) -> str:
     if origin in (types.UnionType, typing.Union):
         return " or ".join("null" if each is type(None) else in_words(each) for each in arguments)
     if origin is list:
-        return (
-            f"a list such as {'[0.5, 1.0]' if arguments[0] is float else '[1, 2]' if arguments[0] is int else '[a, b]'}"
+        return {int: "a list of whole numbers such as [1, 2]", float: "a list of numbers such as [0.5, 1.0]"}.get(
+            arguments[0], "a list such as [a, b]"
         )
     names = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
     return names.get(hint, "a group of settings")

@@ -13,8 +13,8 @@ from hydra.core.override_parser.types import Override as HydraOverride
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
 
-from skatemount.config.files import check_own_file, choices, groups
-from skatemount.config.keys import is_known, keys, table_of, unknown
+from skatemount.config.files import check_own_file, choices, groups, no_choice
+from skatemount.config.keys import is_known, keys, suggestions, table_of, unknown
 from skatemount.config.programs import PROGRAMS
 from skatemount.config.versions import rename_override
 from skatemount.utils.errors import ConfigError
@@ -163,6 +163,29 @@ def _split(value: str) -> list[str]:
     return pieces
 
 
+def check_option(argument: str, program: str) -> None:
+    """Raise `ConfigError` for an argument with dashes that means a setting, such as ``--num_envs`` or ``--task=foo``.
+
+    Args:
+        argument: An argument of the command line that begins with a dash.
+        program: The program that it is for.
+    """
+    name, equals, value = argument.lstrip("-").partition("=")
+    if not name or argument.partition("=")[0] in _OPTIONS or not argument.startswith("--") and len(name) < 3:
+        return
+    schema, key = PROGRAMS[program], rename_override(name)
+    known = is_known(schema, key) or key in groups(program)
+    close = [key] if known else suggestions(schema, key)[:1]
+    example = f": {close[0]}={value if equals and known else '<value>'}" if close else ", such as seed=1"
+    raise ConfigError(f"{argument}: there is no such option; settings are written without dashes{example}")
+
+
+_OPTIONS = {"--help", "--hydra-help", "--version", "--cfg", "--resolve", "--package", "--run", "--multirun",
+            "--shell-completion", "--config-path", "--config-name", "--config-dir", "--experimental-rerun",
+            "--info", "-cp", "-cn", "-cd", "-sc"}  # fmt: skip
+"""Hydra's options."""
+
+
 def _prepared(override: Override, written: str, program: str) -> str:
     schema, key = PROGRAMS[program], override.key
     if key == "hydra" or key.startswith(("hydra.", "hydra/")):
@@ -194,7 +217,7 @@ def _check_choices(override: Override, written: str) -> None:
         if override.group == "suite" and name == "null":
             raise ConfigError(f"{written}: leave suite out for the task that the policy was trained in")
         if name not in known and name != "null" and not name.startswith(("glob(", "choice(")):
-            raise ConfigError(f"{written}: there is no {override.group} {name}; there are: {', '.join(known)}")
+            raise ConfigError(f"{written}: {no_choice(override.group, name)}")
         check_own_file(override.group, name)
 
 

@@ -186,9 +186,9 @@ class Registry:
         """
         where = f"{table or self.kind}.{name}"
         if name not in self._functions:
-            close = difflib.get_close_matches(name, self._functions, n=1)
-            hint = f" (did you mean {close[0]}?)" if close else ""
-            raise ConfigError(f"{where} is not a known {self.kind}{hint}; known: {', '.join(self.names())}")
+            close = difflib.get_close_matches(name, self._functions, n=3)
+            hint = f"; did you mean {' or '.join(close)}?" if close else ""
+            raise ConfigError(f"{where} is not a known {self.kind}{hint} (skatemount list {self.kind}s has all)")
         function = self._functions[name]
         types = _parameter_types(f"{where} of {function.__module__}", function)
         known = list(types)

@@ -11,7 +11,6 @@ from skatemount.envs.tasks.definition import TaskDefinition
 from skatemount.evaluation.intervals import wilson_interval
 from skatemount.evaluation.records import EpisodeRecords
 
-
 END_WORDS = {
     "tilt": "robot fell",
     "trunk_contact": "trunk touched something",

@@ -28,37 +28,44 @@ def find_checkpoint(spec: str, root: Path | str = Path("runs"), setting: str = "
     """
     root = Path(root)
     spec = str(spec)
+    policies = [] if setting == "resume" else shipped_policies()
+    if setting == "resume" and spec.startswith(PRETRAINED):
+        raise ConfigError(f"{setting}={spec}: a shipped policy is no run; init_from={spec} starts a new one from it")
     if spec.startswith(PRETRAINED):
         if (file := shipped_file(spec.removeprefix(PRETRAINED))) is not None:
             return file
-        raise ConfigError(f"{setting}={spec!r}: no such policy; there is {_choices(shipped_policies())}")
+        raise ConfigError(f"{setting}={spec}: no such policy; there are: {_choices(policies)}")
     if spec in POINTERS:
         run = _newest_run(root)
         if run is None:
             raise ConfigError(
-                f"{setting}={spec!r}: no run in {str(root)!r} has a checkpoint yet; there is "
-                f"{_choices(shipped_policies())}"
+                f"{setting}={spec}: no run in {root} has a checkpoint yet"
+                + (f"; there are: {_choices(policies)}" if policies else "; train one first")
             )
-        return _of_run(run, spec, f"{setting}={spec!r}")
+        return _of_run(run, spec, f"{setting}={spec}")
     for path in (Path(spec), root / spec):
         if path.is_file() and path.name not in POINTERS:
             if path.suffix != ".safetensors":
                 raise ConfigError(
-                    f"{setting}={spec!r}: a {path.suffix or 'nameless'} file; policies are "
+                    f"{setting}={spec}: a {path.suffix or 'nameless'} file; policies are "
                     ".safetensors files, pickle-based ones (.pt) are never loaded"
                 )
             return path
         if path.is_dir() and is_checkpoint(path):
             return path
         if is_run(path):
-            return _of_run(path, "latest", f"{setting}={spec!r}")
+            return _of_run(path, "latest", f"{setting}={spec}")
         if path.name in POINTERS and is_run(path.parent):
-            return _of_run(path.parent, path.name, f"{setting}={spec!r}")
+            return _of_run(path.parent, path.name, f"{setting}={spec}")
         if is_sweep(path):
             runs = [str(run) for run in sorted(path.iterdir()) if is_run(run)]
-            raise ConfigError(f"{setting}={spec!r}: a sweep; name one of its runs: {_choices(runs)}")
+            raise ConfigError(f"{setting}={spec}: a sweep; name one of its runs: {_choices(runs)}")
+    if policies and shipped_file(spec) is not None:
+        raise ConfigError(f"{setting}={spec}: not found; did you mean {PRETRAINED}{spec}?")
     names = [str(run) for run in itertools.islice(_runs_with_checkpoints(root), 3)]
-    raise ConfigError(f"{setting}={spec!r}: not found; there is {_choices([*names, *shipped_policies()])}")
+    if setting == "resume":
+        raise ConfigError(f"{setting}={spec}: not found; the newest runs in {root} are: {_choices(names)}")
+    raise ConfigError(f"{setting}={spec}: not found; there are: {_choices([*names, *policies])}")
 
 
 def is_own_run(path: Path, root: Path | str) -> bool:
@@ -81,7 +88,7 @@ def _of_run(run: Path, which: str, where: str) -> Path:
         return found
     others = [p.relative_to(run).as_posix() for p in list_checkpoints(run / "checkpoints")]
     what = "no best checkpoint" if which == "best" else "no checkpoint"
-    raise ConfigError(f"{where}: run {str(run)!r} has {what} yet; it has {_choices(others)}")
+    raise ConfigError(f"{where}: run {run} has {what} yet; it has: {_choices(others)}")
 
 
 def _newest_run(root: Path) -> Path | None:

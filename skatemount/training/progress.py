@@ -59,6 +59,7 @@ class Progress:
         self._metrics: dict[str, float] = {}
         self._frames = initial_frames
         self._evaluated: int | None = None
+        self._evaluating = "evaluating"
         self._line_at = -math.inf
         self._line_frames: int | None = initial_frames
         self._live: Live | None = None
@@ -78,6 +79,11 @@ class Progress:
         elif self._is_time():
             self._print_line()
 
+    def show_final_evaluation(self, done: int, total: int) -> None:
+        """Show how much of the evaluation at the end is done; see `show_evaluation`."""
+        self._evaluating = "final evaluation"
+        self.show_evaluation(done, total)
+
     def show_evaluation(self, done: int, total: int) -> None:
         """Show how much of an evaluation is done; for `Evaluator.run`.
 
@@ -92,7 +98,7 @@ class Progress:
         if self._console.is_terminal:
             self._refresh()
         elif self._is_time():
-            self._print(f"{self._title}  evaluating {percent}%")
+            self._print(f"{self._title}  {self._evaluating} {percent}%")
 
     def close(self) -> None:
         """Leave the last state on display."""
@@ -139,7 +145,7 @@ class Progress:
             panel.add_row(ProgressBar(total=max(self._total, 1), completed=self._frames, width=46))
             panel.add_row(self._grid())
         if self._evaluated is not None:
-            panel.add_row(f"evaluating {self._evaluated}%")
+            panel.add_row(f"{self._evaluating} {self._evaluated}%")
             panel.add_row(ProgressBar(total=100, completed=self._evaluated, width=46))
         return panel
 

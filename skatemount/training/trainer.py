@@ -248,7 +248,7 @@ class Trainer:
             try:
                 self._train()
                 episodes = self.config.logger.final_episodes
-                return self.evaluate(episodes, self.display.show_evaluation) if episodes else None
+                return self.evaluate(episodes, self.display.show_final_evaluation) if episodes else None
             except Ended as end:
                 raise Ended(end.signum, what_is_left(self.run, self.saved_frames)) from None
             finally:

@@ -113,7 +113,7 @@ def test_a_pipeline_is_evaluated_as_one_policy(folder: Path, first: str, second:
         ("gait", "pipeline=gait must be two policies, WALK+MOUNT"),
         ("a+b+c", "must be two policies"),
         ("+b", "must be two policies"),
-        ("balance+nothing", "pipeline='nothing': not found"),
+        ("balance+nothing", "pipeline=balance+nothing: nothing: not found"),
     ],
 )
 def test_mistakes_are_one_line(spec: str, said: str) -> None:

@@ -10,6 +10,7 @@ from tensordict import TensorDict
 from tiny import SILENT, TINY
 from torch import Tensor
 
+from skatemount.agents import transfer
 from skatemount.agents.interface import observation_layout
 from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import compose
@@ -129,3 +130,7 @@ def test_growing_is_not_offered_where_it_would_not_help(small: TrainedPolicy, tm
     with pytest.raises(ConfigError) as error:
         grown(small, tmp_path, "init_from_expand=false", "observation=compact")
     assert "init_from_expand" not in str(error.value)
+
+
+def test_the_observation_of_the_training_is_named(small: TrainedPolicy) -> None:
+    assert transfer._observation_choice(small) == "observation=default"

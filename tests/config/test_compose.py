@@ -134,7 +134,7 @@ def test_overrides() -> None:
         # Wrong types.
         ("balance", ["physics.num_worlds=many"], ["physics.num_worlds=many", "whole number"]),
         ("balance", ["board.truck_angle=steep"], ["board.truck_angle=steep", "a number"]),
-        ("balance", ["network.actor=[a]"], ["network.actor=['a']", "a list such as [1, 2]"]),
+        ("balance", ["network.actor=[a]"], ["network.actor=[a] must be a list of whole numbers such as [1, 2]"]),
         ("balance", ["network.actor=64"], ["network.actor=64", "a list"]),
         ("balance", ["reward.alive=3"], ["reward.alive"]),
         ("balance", ["seed=null"], ["seed=null", "whole number"]),

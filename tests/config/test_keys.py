@@ -20,6 +20,7 @@ from skatemount.config import (
     config_dir,
 )
 from skatemount.config.keys import keys
+from skatemount.config.overrides import check_option, prepare
 from skatemount.config.programs import PROGRAMS
 from skatemount.config.versions import RENAMED
 from skatemount.envs.task import MountTask
@@ -119,3 +120,42 @@ def test_every_setting_has_exactly_one_default() -> None:
 
 
 PARTS = [hint for hint in keys(BenchProgramConfig).values() if dataclasses.is_dataclass(hint)]
+
+
+@pytest.mark.parametrize(
+    ("argument", "expected"),
+    [
+        ("--num_envs", "settings are written without dashes: physics.num_worlds=<value>"),
+        ("--task=hold", "settings are written without dashes: task=hold"),
+        ("--nope", "settings are written without dashes, such as seed=1"),
+        ("-seed=3", "settings are written without dashes: seed=3"),
+    ],
+)
+def test_a_setting_with_dashes_is_named(argument: str, expected: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        check_option(argument, "train")
+    assert str(error.value) == f"{argument}: there is no such option; {expected}"
+
+
+@pytest.mark.parametrize("option", ["-m", "--multirun", "--cfg", "--config-dir=mine", "-cd", "-c"])
+def test_options_of_hydra_are_left_alone(option: str) -> None:
+    check_option(option, "train")
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("board=lngboard", r"^board=lngboard: there is no board lngboard \(did you mean longboard\?\); there are: "),
+        ("+stage=mouunt", r"there is no stage mouunt \(did you mean mount"),
+    ],
+)
+def test_a_wrong_choice_has_a_suggestion(override: str, expected: str) -> None:
+    with pytest.raises(ConfigError, match=expected):
+        prepare([override], "train")
+
+
+def test_a_part_of_a_suites_name_suggests_the_suite() -> None:
+    with pytest.raises(
+        ConfigError, match=r"there is no suite unfixed \(did you mean approach-unfixed or mount-"
+    ):
+        prepare(["suite=unfixed"], "evaluate")

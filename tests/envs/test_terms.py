@@ -114,7 +114,7 @@ def test_a_name_is_registered_once(registry: Registry) -> None:
 @pytest.mark.parametrize(
     ("name", "params", "table", "expected"),
     [
-        ("hup", {}, None, "reward.hup is not a known reward (did you mean hop?); known: hop"),
+        ("hup", {}, None, "reward.hup is not a known reward; did you mean hop? (skatemount list rewards has all)"),
         ("hop", {"size": 1}, None, "reward.hop.params.size is not a parameter; known: scale, side"),
         ("hop", {"scale": 0.0}, None, "reward.hop.params.scale=0.0 must be above 0, because the term divides by it"),
         ("hop", {"scale": "x"}, None, "reward.hop.params.scale=x must be of type float"),

@@ -143,6 +143,11 @@ def test_a_task_describes_itself(path: Path) -> None:
     assert (own.name, own.suite, own.describe()["definition"]) == ("balance", None, None)
 
 
+def test_a_pipeline_and_a_checkpoint_are_one_too_many(path: Path) -> None:
+    with pytest.raises(ConfigError, match=f"^pipeline=gait.anywhere with checkpoint={path}: it names both policies"):
+        prepare(path, "pipeline=gait+anywhere")
+
+
 def test_a_policy_that_does_not_fit_is_refused(path: Path) -> None:
     (task,) = prepare(path, "suite=mount-fixed", "robot.action_scale_hip=0.5")
     with pytest.raises(ConfigError, match=f"checkpoint={path}: its actions have scale="):

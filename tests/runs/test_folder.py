@@ -163,11 +163,12 @@ def test_find_errors_are_one_line_that_says_what_there_is(runs_root: Path, monke
         with pytest.raises(ConfigError) as error:
             find_checkpoint(spec, runs_root, setting="init_from")
         text = one_line(error)
-        assert text.startswith(f"init_from={spec!r}")
+        assert text.startswith(f"init_from={spec}: ")
         return text
 
     assert "pretrained:balance" in message("pretrained:moutn")
     assert "pretrained:balance" in message("pretrained:../policies/balance")
+    assert message("balance") == "init_from=balance: not found; did you mean pretrained:balance?"
     assert "has a checkpoint yet" in message("latest")
     run = make_run(runs_root)
     assert "no checkpoint yet" in message(str(run.path))
@@ -177,6 +178,16 @@ def test_find_errors_are_one_line_that_says_what_there_is(runs_root: Path, monke
     pickled = runs_root / "model.pt"
     pickled.touch()
     assert ".safetensors" in message(str(pickled))
+
+
+def test_a_run_to_resume_is_looked_for_among_the_runs(runs_root: Path) -> None:
+    run = make_run(runs_root)
+    add_checkpoint(run, 10)
+    with pytest.raises(ConfigError) as error:
+        find_checkpoint("nowhere", runs_root, setting="resume")
+    assert str(error.value) == f"resume=nowhere: not found; the newest runs in {runs_root} are: {run.path}"
+    with pytest.raises(ConfigError, match=r"^resume=pretrained:balance: a shipped policy is no run; init_from=pretra"):
+        find_checkpoint("pretrained:balance", runs_root, setting="resume")
 
 
 def git(folder: Path, *arguments: str) -> None:

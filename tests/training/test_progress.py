@@ -83,9 +83,9 @@ def test_on_a_terminal_an_evaluation_has_a_bar_that_goes_away_with_the_next_repo
     assert "evaluating" not in out.getvalue()[before:]
     display.close()
     before = len(out.getvalue())
-    display.show_evaluation(7, 10)  # the final evaluation, when the table has its last state
+    display.show_final_evaluation(7, 10)  # when the table has its last state
     display.close()
-    assert "evaluating 70%" in out.getvalue()[before:] and "success" not in out.getvalue()[before:]
+    assert "final evaluation 70%" in out.getvalue()[before:] and "success" not in out.getvalue()[before:]
 
 
 def test_short_forms() -> None:

@@ -39,4 +39,6 @@ def test_a_mistake_is_all_that_a_program_prints(repo_root: Path) -> None:
         text=True,
     )
     assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith("skatemount.train: reward.alife is not a known reward") and done.stderr.count("\n") == 1
+    assert (
+        done.stderr.startswith("skatemount.train: reward.alife is not a known reward") and done.stderr.count("\n") == 1
+    )
