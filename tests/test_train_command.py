@@ -169,7 +169,9 @@ def test_help_fits_a_screen_and_names_what_there_is(program: str) -> None:
     named = {word.partition("=")[0] for word in text.split() if "=" in word and word[0].isalpha()}
     schema = PROGRAMS[program]
     assert all(is_known(schema, key) or key in groups(program) for key in named), named
+    assert "--config-dir" in text and {"plugins", "physics.threads"} <= named
     if program == "train":
+        assert "torch_threads" in named
         assert all(stage in text for stage in stages())
 
 

@@ -15,16 +15,22 @@ from skatemount.envs.config.task import TaskConfig
 
 ELSEWHERE: dict[str, str] = {
     "clip_param": "algorithm.clip_epsilon",
+    "clip_range": "algorithm.clip_epsilon",
+    "decimation": "physics.substeps",
     "desired_kl": "algorithm.target_kl",
     "device": "physics.device",
+    "ent_coef": "algorithm.entropy_coeff",
     "entropy_coef": "algorithm.entropy_coeff",
     "experiment_name": "logger.experiment",
+    "gae_lambda": "algorithm.gae_horizon",
     "gamma": "algorithm.discount_horizon",
+    "init_noise_std": "network.init_std",
     "lam": "algorithm.gae_horizon",
     "lr": "algorithm.learning_rate",
     "load_run": "resume",
     "max_iterations": "total_frames",
     "n_envs": "physics.num_worlds",
+    "n_epochs": "algorithm.epochs",
     "n_steps": "collector.steps_per_env",
     "num_envs": "physics.num_worlds",
     "num_iterations": "total_frames",
@@ -35,6 +41,7 @@ ELSEWHERE: dict[str, str] = {
     "save_interval": "logger.checkpoint_every",
     "total_timesteps": "total_frames",
     "value_loss_coef": "algorithm.critic_coeff",
+    "vf_coef": "algorithm.critic_coeff",
 }
 """Words of other frameworks (rsl_rl, Isaac Lab, Stable-Baselines3) and the settings that come nearest."""
 

@@ -1,7 +1,7 @@
-"""The automatic reverse curriculum: a grid of bins of initial states that opens outwards from the goal.
+"""The automatic reverse curriculum: a grid of bins of initial states that opens outward from the goal.
 
 Follows Florensa et al., "Reverse Curriculum Generation for Reinforcement Learning" (2017): practice where success is
-neither rare nor certain, keep practicing what is solved, and expand outwards from there. Bins replace the paper's
+neither rare nor certain, keep practicing what is solved, and expand outward from there. Bins replace the paper's
 sampled states, so that the estimate of success can be plotted.
 """
 

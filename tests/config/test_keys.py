@@ -155,7 +155,5 @@ def test_a_wrong_choice_has_a_suggestion(override: str, expected: str) -> None:
 
 
 def test_a_part_of_a_suites_name_suggests_the_suite() -> None:
-    with pytest.raises(
-        ConfigError, match=r"there is no suite unfixed \(did you mean approach-unfixed or mount-"
-    ):
+    with pytest.raises(ConfigError, match=r"there is no suite unfixed \(did you mean approach-unfixed or mount-"):
         prepare(["suite=unfixed"], "evaluate")

@@ -8,7 +8,11 @@ from pathlib import Path
 import pytest
 
 from skatemount.config import stages, suites
+from skatemount.config.keys import ELSEWHERE
 from skatemount.config.versions import RENAMED
+from skatemount.envs.tasks import TASKS
+from skatemount.envs.terminations import TERMINATIONS
+from skatemount.evaluation.results import END_WORDS
 from skatemount.runs.shipped import ALIASES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -56,6 +60,23 @@ def test_every_stage_is_in_the_table() -> None:
 def test_every_suite_is_in_the_table() -> None:
     text = (ROOT / "docs/mountbench.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^\| `([\w-]+)` \|", text, re.MULTILINE)) == set(suites())
+
+
+def test_every_end_of_an_episode_is_in_the_table() -> None:
+    text = (ROOT / "docs/mountbench.md").read_text(encoding="utf-8").partition("## How an episode fails")[2]
+    rows = dict(re.findall(r"^\| ([\w ]+) \| `(\w+)` \|", text, re.MULTILINE))
+    tasks = {TASKS.get(name).failure_words: TASKS.get(name).failure for name in TASKS.names()}
+    assert rows == {words: name for name, words in END_WORDS.items()} | tasks
+    assert set(TERMINATIONS.names()) <= set(END_WORDS)
+
+
+def test_words_of_other_frameworks_lead_to_the_settings_of_the_table() -> None:
+    text = (ROOT / "docs/usage.md").read_text(encoding="utf-8").partition("## Coming from another framework")[2]
+    rows = re.findall(r"^\| (`.+?) \| (`.+) \|$", text.partition("\n## ")[0], re.MULTILINE)
+    named = {word: ours for theirs, ours in rows for word in re.findall(r"`(\w+)`", theirs)}
+    known = {word: setting for word, setting in ELSEWHERE.items() if word in named}
+    assert len(known) >= 20
+    assert [word for word, setting in known.items() if f"`{setting}`" not in named[word]] == []
 
 
 def test_every_page_is_reachable() -> None:

@@ -112,6 +112,22 @@ def test_what_is_kept_of_an_evaluation(write_results: ModuleType) -> None:
     assert "failed_episodes" not in kept["suites"]["mount-fixed"]
 
 
+def test_a_command_names_a_shipped_policy_by_its_name_of_today(write_results: ModuleType) -> None:
+    old = {"command": "python -m skatemount.evaluate checkpoint=pretrained:best suite=all init=pretrained:bestest"}
+    assert "checkpoint=pretrained:anywhere suite=all init=pretrained:bestest" in write_results.command(old)
+
+
+def test_the_table_has_every_suite(write_results: ModuleType) -> None:
+    gait = evaluation("gait", 0)
+    gait["failures"] = {"not_followed": 3, "tilt": 1}
+    gait["evaluated"]["definition"] = {"version": 1, "stage": "gait", "description": "walk"}
+    table = write_results.table(
+        write_results.condensed({"suites": {"gait": gait, "far": evaluation("far")}}, "1234567")
+    )
+    assert "| `gait` | 0.0 % | 30.1 to 95.4 % | – | – | did not follow the command 3, robot fell 1 |" in table
+    assert "| `far` | 75.0 %" in table
+
+
 def test_several_suites_are_one_command(write_results: ModuleType) -> None:
     both = {"suites": {"mount-fixed": evaluation(), "mount-unfixed": evaluation("mount-unfixed", 1)}}
     kept = write_results.condensed(both, "1234567")
