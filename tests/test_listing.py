@@ -45,7 +45,7 @@ def test_a_table_has_every_name() -> None:
         "8.01M steps in stage unfixed, from pretrained:unfixed-two-frames; with the settings, given one by one, that "
         "stage anywhere has since"
     )
-    assert rows("policies")["pretrained:unfixed"] == "45.0M steps in stage unfixed, from scratch"
+    assert rows("policies")["pretrained:unfixed"] == "45.02M steps in stage unfixed, from scratch"
     assert list(rows("rewards")) == REWARDS.names()
     assert "feet that press on the deck" in rows("rewards")["feet_on_board"]
 

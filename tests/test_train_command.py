@@ -56,7 +56,10 @@ def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (["+stage=balanced"], "+stage=balanced: there is no stage balanced (did you mean balance?); there are: anywhere, approach,"),
+        (
+            ["+stage=balanced"],
+            "+stage=balanced: there is no stage balanced (did you mean balance?); there are: ",
+        ),
         (["+stage=balance", "total_frame=3"], "total_frame"),
         (["+stage=balance", "reward.alive.weight=-1", "physics.num_worlds=2"], "reward.alive.weight=-1.0 must be"),
         (["+stage=balance", "network=smal"], "small"),

@@ -66,7 +66,9 @@ def test_the_folder_counts_for_the_call_or_the_block_alone(folder: Path) -> None
 
 
 def test_errors_list_the_users_choices(folder: Path) -> None:
-    with pytest.raises(ConfigError, match=r"^board=mide: there is no board mide \(did you mean wide or mini\?\); there are: .*, wide$"):
+    with pytest.raises(
+        ConfigError, match=r"^board=mide: there is no board mide \(did you mean wide\?\); there are: .*, wide$"
+    ):
         compose("mine", ["board=mide"], config_dir=folder)
 
 
