@@ -76,7 +76,9 @@ class EvaluationTask:
             ConfigError: There is no such policy, suite or setting, or both ``pipeline`` and ``checkpoint`` are given.
         """
         if config.pipeline is not None and (given := [o for o in overrides if _key(o) == "checkpoint"]):
-            raise ConfigError(f"pipeline={config.pipeline} with {given[0]}: it names both policies; leave out one")
+            raise ConfigError(
+                f"{given[0]} with pipeline={config.pipeline}: a pipeline names both policies; leave out one"
+            )
         if config.pipeline is None:
             agent = TrainedPolicy.load(config.checkpoint, config.logger.root)
         else:

@@ -144,7 +144,7 @@ def test_a_task_describes_itself(path: Path) -> None:
 
 
 def test_a_pipeline_and_a_checkpoint_are_one_too_many(path: Path) -> None:
-    with pytest.raises(ConfigError, match=f"^pipeline=gait.anywhere with checkpoint={path}: it names both policies"):
+    with pytest.raises(ConfigError, match=f"^checkpoint={path} with pipeline=gait.anywhere: a pipeline names both"):
         prepare(path, "pipeline=gait+anywhere")
 
 
