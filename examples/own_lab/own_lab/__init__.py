@@ -1,1 +1,1 @@
-"""A lab's own terms for skatemount."""
+"""A lab's own terms, task and robot for skatemount."""
