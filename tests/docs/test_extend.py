@@ -1,4 +1,4 @@
-"""The task of the page "Use your own", registered and evaluated as it stands there."""
+"""The task of the page "Use your own", which is that of the lab's example, is registered and evaluated."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from skatemount.config import compose
-from skatemount.envs.tasks import TASKS
+from skatemount.config import compose, set_user_config_dir
+from skatemount.config.registries import registries
 from skatemount.evaluation import report
 from skatemount.evaluation.evaluator import Evaluator
 from skatemount.training.setup import make_networks
 
 ROOT = Path(__file__).resolve().parents[2]
+LAB = ROOT / "examples" / "own_lab"
 SMALL = [
     "network.actor=[8]",
     "network.critic=[8]",
@@ -27,35 +28,44 @@ SMALL = [
 ]
 
 
-def blocks(language: str) -> list[str]:
-    """Return the code blocks of the section about tasks."""
-    text = (ROOT / "docs" / "extend.md").read_text(encoding="utf-8")
-    section = text.split("\n## Tasks\n")[1].split("\n## ")[0]
-    return re.findall(rf"^```{language}\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
-
-
 @pytest.fixture
-def conf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The page's files: a plugin that can be imported, and a folder of settings."""
-    (code,), (task, stage) = blocks("python"), blocks("yaml")
-    for name, text in (("tasks.py", code), ("__init__.py", "")):
-        (tmp_path / "my_package").mkdir(exist_ok=True)
-        (tmp_path / "my_package" / name).write_text(text, encoding="utf-8")
-    for group, text in (("task", task), ("stage", stage)):
-        (tmp_path / "my_conf" / group).mkdir(parents=True)
-        (tmp_path / "my_conf" / group / "crouch.yaml").write_text(text, encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    saved = TASKS.snapshot()
-    yield tmp_path / "my_conf"
-    TASKS.restore(saved)
-    for module in [name for name in sys.modules if name.split(".")[0] == "my_package"]:
+def conf(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The example's settings; its plugins can be imported."""
+    monkeypatch.syspath_prepend(str(LAB))
+    known = registries()
+    saved = [registry.snapshot() for registry in known]
+    yield LAB / "conf"
+    set_user_config_dir(None)
+    for registry, before in zip(known, saved):
+        registry.restore(before)
+    for module in [name for name in sys.modules if name.split(".")[0] == "own_lab"]:
         del sys.modules[module]
 
 
+@pytest.mark.parametrize("page", ["extend", "extend_learning"])
+def test_the_pages_show_files_of_the_examples(page: str) -> None:
+    path = ROOT / "docs" / f"{page}.md"
+    shown = re.findall(
+        r"^```\{literalinclude\} (\S+)\n(.*?)^```$", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
+    assert len(shown) >= 6
+    for file, options in shown:
+        text = (path.parent / file).read_text(encoding="utf-8")
+        for start in re.findall(r"^:start-at: (.+)$", options, re.MULTILINE):
+            assert start in text, f"{file} has no {start!r}"
+
+
+def test_the_page_shows_the_labs_folder() -> None:
+    text = (ROOT / "docs" / "extend.md").read_text(encoding="utf-8")
+    (tree,) = re.findall(r"^```text\nconf/\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    files = [path.relative_to(LAB / "conf").as_posix() for path in (LAB / "conf").rglob("*.yaml")]
+    assert re.findall(r"[\w-]+/[\w.-]+", tree) == sorted(files)
+
+
 def test_the_task_of_the_page_is_evaluated(conf: Path) -> None:
-    config = compose("crouch", SMALL, config_dir=conf)
-    assert (config.success, config.plugins) == ("crouch", ["my_package.tasks"])
-    assert config.reward["base_height"].weight == 0.0 and config.total_frames == 2_000_000
+    config = compose("lab_carry", SMALL, config_dir=conf)
+    assert config.success == "lab_carry" and "own_lab.tasks" in config.plugins
+    assert config.reward["flat_orientation"].weight == 1.0 and config.total_frames == 4_000_000
     evaluator = Evaluator(config, 4, seed=1)
     torch.manual_seed(0)
     try:
@@ -64,7 +74,10 @@ def test_the_task_of_the_page_is_evaluated(conf: Path) -> None:
     finally:
         evaluator.close()
     document = json.loads(json.dumps(result.to_dict(), allow_nan=False))
-    assert 0.2 < document["lowest"]["median"] <= document["final_height"] < 0.5
+    assert 0 < document["final_tilt"] < 90 and document["largest_tilt"]["median"] > 0
     assert 0 <= document["feet"] <= 4 and document["energy"] > 0
-    assert document["success"]["rate"] == 0.0 and document["failures"] == {"too_high": 4}
-    assert "4: not crouched at the time limit 4" in report.table(result)
+    failed = 4 - round(4 * document["success"]["rate"])
+    assert document["failures"] == ({"spilled": failed} if failed else {})
+    assert [
+        name for name in ("tilt at the end", "largest tilt", "feet on the deck") if name not in report.table(result)
+    ] == []

@@ -285,11 +285,10 @@ def test_parameters_are_typed_and_names_are_in_lower_case() -> None:
 
 
 def test_the_example_of_the_documentation_runs(repo_root: Path, make_env: Make) -> None:
-    page = (repo_root / "docs" / "extend.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"^## Terms with memory\n.*?```python\n(.*?)```", page, re.MULTILINE | re.DOTALL)
+    example = (repo_root / "examples" / "own_lab" / "own_lab" / "memory.py").read_text(encoding="utf-8")
     before = REWARDS.snapshot()
     try:
-        exec(compile(example, "extend.md", "exec", dont_inherit=True), {"__name__": "of_the_page"})
+        exec(compile(example, "memory.py", "exec", dont_inherit=True), {"__name__": "of_the_example"})
         env = make_env("balance", 2, [*QUIET, "reward.time_in_the_air={weight: 1.0, params: {limit: 0.1}}"])
         env.reset()
         for _ in range(3):

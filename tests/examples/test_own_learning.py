@@ -225,7 +225,7 @@ def test_what_does_not_go_together_is_one_line(
 
 
 def test_the_page_shows_the_examples(repo_root: Path) -> None:
-    page = repo_root / "docs" / "extend.md"
+    page = repo_root / "docs" / "extend_learning.md"
     shown = re.findall(r"^```\{literalinclude\} (\S+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     assert {Path(each).stem for each in shown} >= {"kl", "gru", "callback", "logger", "curriculum"}
     assert all((page.parent / each).is_file() for each in shown)
