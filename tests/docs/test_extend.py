@@ -65,7 +65,7 @@ def test_the_page_shows_the_labs_folder() -> None:
 def test_the_task_of_the_page_is_evaluated(conf: Path) -> None:
     config = compose("lab_carry", SMALL, config_dir=conf)
     assert config.success == "lab_carry" and "own_lab.tasks" in config.plugins
-    assert config.reward["flat_orientation"].weight == 1.0 and config.total_frames == 4_000_000
+    assert config.reward["flat_orientation"].weight == 1.0 and config.total_frames == 1_000_000
     evaluator = Evaluator(config, 4, seed=1)
     torch.manual_seed(0)
     try:
