@@ -1,4 +1,4 @@
-"""What a training sets up before it begins: the process, and new networks."""
+"""Set-up of a training: the process, new networks, and the initial policy."""
 
 from __future__ import annotations
 
