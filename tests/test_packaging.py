@@ -38,7 +38,7 @@ def shipped_files(root: Path) -> set[str]:
     package = {
         path.relative_to(root).as_posix()
         for path in (root / "skatemount").rglob("*.*")
-        if path.suffix in {".py", ".typed", ".safetensors", ".json"}
+        if path.suffix in {".py", ".typed", ".safetensors", ".json", ".md"}
     }
     settings = {f"skatemount/{path.relative_to(root).as_posix()}" for path in (root / "conf").rglob("*.yaml")}
     return package | settings

@@ -356,36 +356,6 @@ def test_a_request_to_end_before_anything_is_learnt_leaves_no_checkpoint(tmp_pat
     assert RunFolder.open(left).latest is None
 
 
-class Broken(Callback):
-    """Spoils a reward of some iterations."""
-
-    def __init__(self, *iterations: int):
-        self.iterations = iterations
-
-    def on_batch_collected(self, trainer: Trainer, batch: Any) -> None:
-        if trainer.iteration in self.iterations:
-            batch["next", "reward"][2, 1] = torch.nan
-
-
-def test_an_update_that_is_not_finite_is_undone_and_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    left = run_with([Broken(1, 3)], tmp_path, "logger.tensorboard=false", frames=5 * BATCH)
-    assert [row["Train/undone_updates"] for row in rows(left)] == [0, 1, 1, 2, 2]
-    assert ["Loss/kl" in row for row in rows(left)] == [True, False, True, False, True]
-    warning = capsys.readouterr().err
-    assert "the update after 32 steps is undone: next.reward is not finite in 1 of 8 worlds" in warning
-    assert "first in world 2 at step 1 of the batch" in warning
-
-
-def test_several_updates_in_a_row_that_are_not_finite_end_the_run(tmp_path: Path) -> None:
-    with pytest.raises(FloatingPointError, match="next.reward is not finite in 1 of 8 worlds") as error:
-        run_with([Broken(2, 3, 4)], tmp_path, "logger.checkpoint_every=2", *SILENT, frames=9 * BATCH)
-    left = newest(tmp_path)
-    assert left.latest is not None and left.latest.name == f"step_{4 * BATCH:012d}"
-    assert f"3 updates in a row were undone for such a reason; the last good checkpoint is {left.latest}" in str(
-        error.value
-    )
-
-
 @pytest.mark.parametrize("option", ["precision=bf16", "network.symmetric=false", "network.normalize=false"])
 def test_options_run(option: str, tmp_path: Path) -> None:
     left = run(tmp_path, option, "init_from=null", *SILENT, stage="unfixed", frames=BATCH)
