@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -29,6 +31,9 @@ class Always:
     def actor(self, seen: TensorDict) -> TensorDict:
         assert seen["observation"].shape[1] == self.size
         return seen.set("action", torch.full((*seen.shape, 12), self.value))
+
+    def actor_in(self, env: Any) -> Callable[[TensorDict], TensorDict]:
+        return self.actor
 
 
 @pytest.fixture(scope="module")

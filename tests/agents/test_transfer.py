@@ -33,10 +33,12 @@ def small(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return TrainedPolicy.load(str(trainer.run.path))
 
 
-def grown(small: TrainedPolicy, root: Path, *overrides: str) -> Trainer:
+def grown(small: TrainedPolicy, root: Path, *overrides: str, saves: bool = False) -> Trainer:
     symmetric = f"network.symmetric={str(small.config.network.symmetric).lower()}"
     given = [*SMALL, symmetric, f"logger.root={root}", f"init_from={small.path}", "init_from_expand=true", *overrides]
     trainer = Trainer(compose("mount", given), [])
+    if saves:
+        trainer.save({})
     trainer.close()
     return trainer
 
@@ -110,8 +112,7 @@ def test_what_does_not_fit_in_is_one_line(
 
 
 def test_a_grown_run_that_goes_on_knows_what_is_new(small: TrainedPolicy, tmp_path: Path) -> None:
-    trainer = grown(small, tmp_path, "+observation.policy.off_time={}")
-    trainer.save({})
+    trainer = grown(small, tmp_path, "+observation.policy.off_time={}", saves=True)
     given = [f"resume={trainer.run.path}"]
     again = Trainer(resume_config(compose(None, given), given))
     again.close()
