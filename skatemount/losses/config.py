@@ -58,7 +58,7 @@ class AlgorithmConfig:
     learning_rate: float = field(metadata=number(0, 10, above=True))
     min_learning_rate: float = field(metadata=number(0, 10, above=True))
     max_learning_rate: float = field(metadata=number(0, 10, above=True))
-    target_kl: float | None = field(metadata=number(0, 10, above=True))
+    target_kl: float | None = field(metadata=number(0, 10_000, above=True))
     clip_epsilon: float = field(metadata=number(0, 10, above=True))
     clip_value: bool
     critic_coeff: float = field(metadata=number(0, 1000))
