@@ -122,5 +122,5 @@ def test_weights_that_do_not_fit_are_named(config: TrainConfig) -> None:
 
 
 def test_a_missing_policy_names_the_setting() -> None:
-    with pytest.raises(ConfigError, match=r"^init_from='nowhere'"):
+    with pytest.raises(ConfigError, match=r"^init_from=nowhere: not found"):
         TrainedPolicy.load("nowhere", setting="init_from")

@@ -271,7 +271,7 @@ def test_resume_refuses_what_cannot_change(trained: RunFolder, tmp_path: Path) -
     assert f"{10 * BATCH} frames are already trained" in resume("torch_threads=1")  # nothing left to do
     policy = ["resume=pretrained:balance"]
     refused = message(lambda: train(compose(None, policy), policy))
-    assert refused.startswith("resume=") and "not a run folder" in refused
+    assert refused.startswith("resume=pretrained:balance: a shipped policy is no run; init_from=pretrained:balance")
     nowhere = [f"resume={tmp_path}"]
     assert str(tmp_path) in message(lambda: train(compose(None, nowhere), nowhere))
 
