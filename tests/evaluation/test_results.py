@@ -34,7 +34,7 @@ def test_results_as_json_and_as_a_table(make_records: Make) -> None:
     for part in (
         "a/b on far, version 3",
         "0.0% (95 % interval 0.0% to 16.1%)",
-        "20: not mounted at the time limit 15, tilt 5",
+        "20: not mounted at the time limit 15, robot fell 5",
         "1.50 an episode",
         "10 J an episode",
     ):
@@ -74,7 +74,13 @@ def test_failed_episodes_are_listed_with_their_starts(make_records: Make) -> Non
     }
     assert (second["episode"], second["ended_by"]) == (3, "not_mounted")
     text = report.failed_episodes(result, most=1)
-    assert "+0.50 m" in text and "-0.25 m" in text and "+172°" in text and "trunk contact" in text and "odd" in text
+    assert (
+        "+0.50 m" in text
+        and "-0.25 m" in text
+        and "+172°" in text
+        and "trunk touched something" in text
+        and "odd" in text
+    )
     assert text.endswith("and 1 more") and "+0.12 m" not in text
     assert result.first_success() == 0
 

@@ -71,6 +71,7 @@ def test_a_command_of_the_readme_trains_and_resumes(
     stage = re.findall(r"stage=(\w+)", command)[0]
     trainer = make(stage, *overrides, *SHORT, "logger.tensorboard=false", f"total_frames={2 * 3 * BATCH}")
     trainer.train()
+    trainer.close()
     given = [f"resume={trainer.run.path}", f"total_frames={3 * 3 * BATCH}"]
     again = Trainer(resume_config(compose(None, given), given), given)
     again.train()

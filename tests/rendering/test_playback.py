@@ -117,7 +117,7 @@ def test_without_a_success_the_first_episode_is_filmed_with_its_end() -> None:
     episode = replay_episode(failing("termination.tilt.params.degrees=1"))
     assert episode.number == 0
     assert episode.choice == "none of the first 6 episodes succeeded"
-    assert episode.frames[-1].outcome == "failed: tilt"
+    assert episode.frames[-1].outcome == "failed: robot fell"
     assert not episode.frames[-1].succeeded
 
 
