@@ -178,8 +178,8 @@ PARAMETERS: list[tuple[str, str, Any, str]] = [
     ("termination", "tilt.degrees", 181, "above 0 and at most 180 degrees"),
     ("termination", "board_tilt.degrees", 0, "above 0 and at most 180 degrees"),
     ("termination", "board_tilt.degrees", NAN, "finite"),
-    ("termination", "out_of_reach.metres", -1, "above 0"),
-    ("termination", "out_of_reach.metres", 1e9, "at most 1000 m"),
+    ("termination", "out_of_reach.metres", -1, "from 0 to 1000 m"),
+    ("termination", "out_of_reach.metres", 1e9, "from 0 to 1000 m"),
     ("termination", "out_of_reach.metres", "far", "type float"),
     ("termination", "out_of_reach.meters", 2, "not a parameter"),
     ("reward", "distance.scale", 0, "above 0"),
@@ -191,8 +191,8 @@ PARAMETERS: list[tuple[str, str, Any, str]] = [
     ("reward", "joint_pose_squared.when_mounted", -10, "from 0"),
     ("reward", "track_lin_vel.sigma", 0, "above 0"),
     ("reward", "board_speed.horizontal", 7, "type bool"),
-    ("observation.policy", "outline.points", 0, "from 1 to 256"),
-    ("observation.policy", "outline.points", 10**9, "from 1 to 256"),
+    ("observation.policy", "outline.points", 0, "from 1 to 1000"),
+    ("observation.policy", "outline.points", 10**9, "from 1 to 1000"),
     ("observation.policy", "outline.points", 1.5, "type int"),
 ]
 

@@ -26,6 +26,7 @@ from skatemount.train import _of_job, train
 from skatemount.training.callbacks import CheckpointCallback
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
+from skatemount.utils.signals import exiting_by_signals
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
@@ -49,7 +50,8 @@ def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], 
         monkeypatch.setattr(sys, "argv", [program, *arguments])
         status: Any = 0
         try:
-            cli.run(verb, program)
+            with exiting_by_signals(program):
+                cli.run(verb, program)
         except SystemExit as error:
             status = error.code
         out, err = capfd.readouterr()
@@ -67,7 +69,7 @@ def test_a_failing_job_does_not_end_the_others(command: Callable[..., Any], runs
     status, out, err = command(scores, *arguments)
     assert status == 1
     assert out.count("works on") == 2 and "job 2 of 4: physics.num_worlds=8 seed=2\n" in out
-    reason = "physics.num_worlds=0 seed=1: failed: physics.num_worlds=0 must be at least 1"
+    reason = "physics.num_worlds=0 seed=1: failed: physics.num_worlds=0 must be from 1 to 1000000"
     assert err.splitlines()[-2] == f"skatemount.train: job 3 of 4: {reason}"
     assert "Traceback" not in err
     (sweep,) = sweeps(runs_root)
@@ -85,7 +87,7 @@ def test_a_failing_job_does_not_end_the_others(command: Callable[..., Any], runs
     status, out, err = command(scores, *arguments)
     assert (status, sweeps(runs_root)) == (1, [sweep])
     assert out.count("works on") == 0 and out.count("has finished before, skipped") == 2
-    assert "repeated, it failed before: physics.num_worlds=0 must be at least 1" in out
+    assert "repeated, it failed before: physics.num_worlds=0 must be from 1 to 1000000" in out
 
 
 def test_an_unexpected_error_is_shown_and_the_others_run(command: Callable[..., Any]) -> None:
@@ -208,7 +210,7 @@ def test_latest_means_the_same_policy_in_all_jobs(command: Callable[..., Any], r
     (sweep,) = (p for p in sweeps(runs_root))
     assert json.loads((sweep / "sweep.json").read_text())["pinned"] == {"latest": str(before)}
     status, _, err = command(verb, "-m", "stage=balance", "init_from=latest,null", "logger.root=none")
-    assert status == 2 and "init_from='latest': no run in 'none' has a checkpoint yet" in err
+    assert status == 2 and "init_from=latest: no run in none has a checkpoint yet" in err
     assert list(Path("none").glob("*/*")) == []
 
 
@@ -346,5 +348,5 @@ def test_a_killed_multirun_resumes_in_processes(launcher: str, runs_root: Path) 
         ("failed", None, None),
         ("failed", None, None),
     ]
-    assert err.count("seed=1: failed: physics.num_worlds=0 must be at least 1") == 2
+    assert err.count("seed=1: failed: physics.num_worlds=0 must be from 1 to 1000000") == 2
     assert "\x1b" not in out + err

@@ -332,7 +332,8 @@ class MountEnv(EnvBase):
             state: What `world_state` returned, of an environment of the same task, seed and number of worlds.
         """
         self.physics.load_state_dict(state["physics"])
-        episode = TensorDict(state["episode"], [self.num_worlds]).to(self.device)
+        tensors = {name: values.to(self.device) for name, values in state["episode"].items()}
+        episode = TensorDict(tensors, [self.num_worlds])
         self._episode = EpisodeState.from_tensordict(episode)  # type: ignore[attr-defined]
         self.mdp.memory.load_state_dict(state["memory"])
         self._privileged = state["privileged"].to(self.device)

@@ -39,7 +39,7 @@ class Callback:
         """Run after an evaluation during the training."""
 
     def on_interrupt(self, trainer: Trainer) -> None:
-        """Run when Ctrl-C or SIGTERM ends the training, before `on_train_end`."""
+        """Run when a signal or an error ends the training, before `on_train_end`."""
 
     def on_train_end(self, trainer: Trainer) -> None:
         """Run when the training has ended, in whatever way; the final evaluation comes later."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Generator, Iterable
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -211,10 +212,10 @@ class Trainer:
 
     def describe(self) -> str:
         """Return two lines: the stage, the worlds, the network and the initial policy; the run folder."""
-        config = self.config
+        stage, network = self.config.stage, self.config.network
         return (
-            f"{config.stage.name}: {self.env.num_worlds} worlds ({self.env.physics.description}), "
-            f"actor {list(config.network.actor)}, starts from {self.started_from or 'scratch'}\n"
+            f"{stage.name}: {self.env.num_worlds} worlds ({self.env.physics.description}), "
+            f"actor {list(network.actor)}, starts from {self.started_from or 'scratch'}\n"
             f"run: {self.run.path}"
         )
 
@@ -240,10 +241,8 @@ class Trainer:
                 `skatemount.utils.signals.Ended`, and says where they are.
         """
         if self.frames >= self.config.total_frames:
-            raise ConfigError(
-                f"total_frames={self.config.total_frames}: {self.frames} frames are already trained; raise "
-                "total_frames above that"
-            )
+            total = self.config.total_frames
+            raise ConfigError(f"total_frames={total}: {self.frames} frames are already trained; raise it above that")
         with ending_by_signals():
             try:
                 self._train()
@@ -263,14 +262,25 @@ class Trainer:
                     if self.stopping:
                         break
         except KeyboardInterrupt:
-            if self._before is not None:
-                # A part of an iteration would make the run differ from one that was not interrupted.
-                load_parts(self.parts, self._before["parts"], "the state before this iteration")
-                self._load_worlds(self._before["worlds"])
-            self._call("on_interrupt")
+            self._save_complete_iterations()
+            raise
+        except FloatingPointError:
+            raise  # what is left is no better than the last checkpoint
+        except Exception:
+            # An error in code of one's own must not cost what was trained. If saving fails, the first error counts.
+            with suppress(Exception):
+                self._save_complete_iterations()
+                print(what_is_left(self.run, self.saved_frames), file=sys.stderr, flush=True)
             raise
         finally:
             self._call("on_train_end")
+
+    def _save_complete_iterations(self) -> None:
+        if self._before is not None:
+            # A part of an iteration would make the run differ from one that was not interrupted.
+            load_parts(self.parts, self._before["parts"], "the state before this iteration")
+            self._load_worlds(self._before["worlds"])
+        self._call("on_interrupt")
 
     def _call(self, hook: str, *arguments: Any) -> None:
         for callback in self.callbacks:

@@ -129,8 +129,8 @@ def test_same_seed_same_commands() -> None:
         (dict(forward=[1.0, -1.0]), ["command.forward=[1.0, -1.0]", "low <= high"]),
         (dict(turn=[1.0]), ["command.turn=[1.0]", "[low, high]"]),
         (dict(resample=0.0), ["command.resample=0.0", "above 0"]),
-        (dict(standing=1.5), ["command.standing=1.5", "between 0 and 1"]),
-        (dict(deadband=-0.1), ["command.deadband=-0.1", "0 or more"]),
+        (dict(standing=1.5), ["command.standing=1.5", "from 0 to 1"]),
+        (dict(deadband=-0.1), ["command.deadband=-0.1", "from 0 to 20 m/s"]),
     ],
 )
 def test_bad_settings_are_one_clear_line(settings: dict, expected: list[str]) -> None:

@@ -80,7 +80,7 @@ def test_configured_tables() -> None:
 @pytest.mark.parametrize(
     ("terms", "expected"),
     [
-        ({"tild": TerminationTerm()}, ["termination.tild", "did you mean tilt?", "out_of_reach"]),
+        ({"tild": TerminationTerm()}, ["termination.tild", "did you mean tilt?", "skatemount list terminations"]),
         ({"tilt": TerminationTerm(params={"radians": 1})}, ["termination.tilt.params.radians", "known: degrees"]),
         # A mistake in a term that is switched off is one all the same.
         ({"tild": TerminationTerm(enabled=False)}, ["termination.tild"]),

@@ -349,6 +349,19 @@ def test_a_request_to_end_does_not_replace_what_was_evaluated(tmp_path: Path) ->
     assert TrainedPolicy.load(str(left.best)).card.metrics["Evaluation/success"] == 0.9
 
 
+def test_an_error_in_code_of_ones_own_leaves_a_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    class Fails(Callback):
+        def on_batch_collected(self, trainer: Trainer, batch: Any) -> None:
+            if trainer.iteration == 2:
+                raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        run_with([Fails()], tmp_path, *SILENT)
+    left = newest(tmp_path)
+    assert left.latest is not None and left.latest.name == f"step_{2 * BATCH:012d}"
+    assert f"go on with: python -m skatemount.train resume={left.path}" in capsys.readouterr().err
+
+
 def test_a_request_to_end_before_anything_is_learnt_leaves_no_checkpoint(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_with([Interrupt(1)], tmp_path, *SILENT)

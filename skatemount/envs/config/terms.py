@@ -12,11 +12,12 @@ PARAMETERS: dict[str, Bounds] = {
     name: bounds
     for names, declared in (
         (("degrees",), number(0, 180, "degrees", above=True)),
-        (("metres", "gate"), number(0, 1000, "m", above=True)),
+        (("metres",), number(0, 1000, "m")),
+        (("gate",), number(0, 1000, "m", above=True)),
         (("limit",), number(0, 1000, "m/s", above=True)),
         (("when_mounted",), number(0, 1e6)),
         (("scale", "sigma"), number(0, 1e6, above=True)),
-        (("points",), number(1, 256)),
+        (("points",), number(1, 1000)),
         (("threshold",), number(0, 1e6, "N")),
         (("ramp",), number(0, 3600, "s")),
         (("height",), number(0, 10, "m")),

@@ -79,7 +79,11 @@ def test_a_history_is_of_the_frames_as_they_were_seen(
         ({"gravity": ObservationTerm(history_length=0)}, ["observation.policy.gravity.history_length=0", "1"]),
         (
             {"base_ang_velo": ObservationTerm()},
-            ["observation.policy.base_ang_velo is not", "did you mean base_ang_vel?", "on_deck"],
+            [
+                "observation.policy.base_ang_velo is not",
+                "did you mean base_ang_vel or base_lin_vel?",
+                "skatemount list observations",
+            ],
         ),
         (
             {"outline": ObservationTerm(params={"point": 8})},
@@ -117,8 +121,11 @@ def test_bad_tables_are_one_clear_line(
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("observation.history_length=0", "observation.history_length=0 must be 1"),
-        ("+observation.policy.gravity.history_length=-1", "observation.policy.gravity.history_length=-1 must be 1"),
+        ("observation.history_length=0", "observation.history_length=0 must be from 1"),
+        (
+            "+observation.policy.gravity.history_length=-1",
+            "observation.policy.gravity.history_length=-1 must be from 1",
+        ),
         ("+observation.privileged.heights.history_length=2", "observation.privileged.heights.history_length=2 must be"),
     ],
 )
