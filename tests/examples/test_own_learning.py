@@ -233,6 +233,7 @@ def test_the_page_shows_the_examples(repo_root: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("choice", "frames"),
     # Success with seed 0: 78.3 % after 277 s of one core, and 77.9 % after 208 s.
