@@ -71,8 +71,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "unknown group": ("train +stage=nope", "there is no stage nope"),
     "other program": ("evaluate +network.actor=[1]", "network.actor"),
     "interpolation": ("train +stage=balance seed=${nosuch}", "nosuch"),
-    "policy": ("evaluate checkpoint=nowhere", "checkpoint='nowhere': not found"),
-    "run": ("train resume=nowhere", "resume='nowhere': not found"),
+    "policy": ("evaluate checkpoint=nowhere", "checkpoint=nowhere: not found"),
+    "run": ("train resume=nowhere", "resume=nowhere: not found"),
     "plugin": ("train +stage=balance plugins=[no_such_module_here]", "plugins=[no_such_module_here]"),
 }
 

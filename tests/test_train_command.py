@@ -50,7 +50,7 @@ def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:
     assert status == 2
     assert err.count("\n") == 1 and err.startswith("skatemount.train: no stage: give stage=<name>")
     for stage in ("approach", "balance", "forward", "gait", "mount", "unfixed"):
-        assert f"{stage} (" in err
+        assert stage in err
 
 
 @pytest.mark.parametrize(
