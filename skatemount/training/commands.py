@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 
 from skatemount import config as configuration
+from skatemount.config.files import load_file
 from skatemount.config.plugins import written
 from skatemount.runs import checkpoint
 from skatemount.runs.folder import RunFolder
@@ -13,12 +14,14 @@ from skatemount.runs.folder import RunFolder
 def next_commands(run: RunFolder) -> str:
     """Return the commands that evaluate and film a run's latest policy, one a line, to be pasted into a shell.
 
-    The suite is the first one that is named after the run's stage; the training's own task if there is none.
+    The suite is the first one of the run's stage that is named after it; the training's own task if there is none.
     """
     stage = run.config["stage"]["name"] if run.latest is None else checkpoint.read_card(run.latest).stage
     plugins = run.config.get("plugins")
     policy = [f"checkpoint={run.path}", *([written(plugins)] if plugins else [])]
-    suite = [f"suite={name}" for name in configuration.suites() if stage in name.split("-")][:1]
+    # A stage of one's own may be called like a part of a suite's name.
+    named = [name for name in configuration.suites() if stage in name.split("-")]
+    suite = [f"suite={name}" for name in named if load_file("suite", name).get("stage") == stage][:1]
     options = configuration.config_dir_options() if suite else []
     evaluate = ["python", "-m", "skatemount.evaluate", *options, *policy, *suite]
     return f"next:\n  {shlex.join(evaluate)}\n  {shlex.join(['python', '-m', 'skatemount.record', *policy])}"
