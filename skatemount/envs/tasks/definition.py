@@ -249,6 +249,8 @@ def _check_metric(where: str, metric: Metric) -> None:
     usable = issubclass(metric.measure, Measure) if isinstance(metric.measure, type) else callable(metric.measure)
     if not usable:
         raise ConfigError(f"{where}: measure={metric.measure!r} must be a function, or a subclass of Measure")
+    if missing := sorted(getattr(metric.measure, "__abstractmethods__", ())):
+        raise ConfigError(f"{where}: measure={metric.measure.__name__} lacks {' and '.join(missing)}; see Measure")
 
 
 def _check_name(where: str, what: str, name: str) -> None:

@@ -27,6 +27,10 @@ def height(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor
     return sim.base_pos[:, 2]
 
 
+class Unfinished(Measure):
+    """A measurement without its methods."""
+
+
 def metric(name: str = "height", **fields: Any) -> Metric:
     given: dict[str, Any] = {"label": name, "meaning": name, "measure": height} | fields
     return Metric(name, **given)
@@ -63,6 +67,10 @@ def task(*metrics: Metric, **fields: Any) -> TaskDefinition:
         ),
         (lambda: task(metric(measure=3)), "task 'jump', metric 'height': measure=3 must be a function, or a subclass"),
         (lambda: task(metric(measure=dict)), "task 'jump', metric 'height': measure=<class 'dict'> must be a function"),
+        (
+            lambda: task(metric(measure=Unfinished)),
+            "task 'jump', metric 'height': measure=Unfinished lacks __call__ and begin; see Measure",
+        ),
         (
             lambda: task(metric(), score={"hight": 1.0}),
             "task 'jump': score=hight is no metric of it (did you mean height?); known: height",
