@@ -143,8 +143,11 @@ def test_a_film_is_the_evaluated_episode_exactly(checkpoint: Path) -> None:
     early, late = (int(mask.nonzero()[-1]) for mask in (ends > 0, ends == 0))
     for number in (early, late, 1):
         episode = replay_episode(trial, number)
-        for name, value in vars(evaluated.records[number : number + 1]).items():
-            played = getattr(episode.record, name)
+        columns, played_columns = (
+            {**vars(record), **record.metrics} for record in (evaluated.records[number : number + 1], episode.record)
+        )
+        for name in columns.keys() - {"metrics"}:
+            value, played = columns[name], played_columns[name]
             assert torch.equal(played, value) or (played != played).all() and (value != value).all(), name
         last = episode.frames[-1]
         assert last.time == pytest.approx(float(evaluated.records.duration[number]))
