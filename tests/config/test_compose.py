@@ -227,7 +227,7 @@ def test_missing_configuration_is_one_line(tmp_path: Path, monkeypatch: pytest.M
     [
         (["reward.feet_proximity.params.scale=abc"], "must be of type float"),
         (["reward.feet_proximity.params.scale=0"], "must be above 0"),
-        (["observation.policy.outline.params.points=0"], "points=0 must be from 1 to 256"),
+        (["observation.policy.outline.params.points=0"], "points=0 must be from 1 to 1000"),
         (["reward.board_speed.params.horizontal=7"], "must be of type bool"),
         (["algorithm.learning_rate=inf"], "algorithm.learning_rate"),
         (["physics.impratio=-1"], "physics.impratio"),
