@@ -54,7 +54,7 @@ def _policies() -> dict[str, str]:
 
 
 _NOTES = {"pretrained:anywhere": "with the settings, given one by one, that stage anywhere has since"}
-"""What a policy's card does not say."""
+"""Remarks on policies that their cards do not contain."""
 
 
 def _today(name: str) -> str:

@@ -37,7 +37,7 @@ _INSTEAD = {
     "experiment": "the settings themselves",
     "task": "suite=<name>, or success=<name> for the criterion and metrics alone,",
 }
-"""What to give in place of choices that an evaluation takes from the suite or from the policy's training."""
+"""Hints for choices that an evaluation refuses, because the suite or the policy's training makes them."""
 
 
 @dataclass

@@ -291,7 +291,7 @@ def test_only_a_run_of_ones_own_imports_its_classes(module: Write, runs_root: Pa
 
 
 def test_a_card_cannot_name_a_class_that_is_no_network(runs_root: Path, tmp_path: Path) -> None:
-    """What is imported already may be named, but only a class of networks is made."""
+    """A setting may name a module that is imported already, but only a class of networks is made."""
     run = train(runs_root)
     (checkpoint,) = (run / "checkpoints").iterdir()
     elsewhere = Path(shutil.copytree(checkpoint, tmp_path / "download"))

@@ -1,4 +1,4 @@
-"""What comes from elsewhere is data: cards, states, settings and pointers that were made to do harm, or are broken."""
+"""Cards, states, settings and pointers from elsewhere are data, even if they are broken or were made to do harm."""
 
 from __future__ import annotations
 
