@@ -30,9 +30,9 @@ from tensordict import TensorDict, TensorDictBase
 from skatemount.config import TrainConfig, compose
 from skatemount.envs import MountTask
 from skatemount.envs.mdp import Mdp
-from skatemount.envs.physics.cpu import available_cores
 from skatemount.losses.ppo import PPO
 from skatemount.training.setup import make_networks
+from skatemount.utils.devices import available_cores
 from skatemount.utils.memory import disable_malloc_trim
 
 ACTIONS = 12

@@ -39,6 +39,7 @@ class PolicyConfig(TaskConfig):
         switch_distance: Distance from the board at which the second policy takes over, m.
         suite: Test to try it in; null for the task of its training.
         seed: Seed of worlds and start states.
+        torch_threads: Torch's threads; 0 takes every core. Another number rounds the policy's actions differently.
         logger: Place of the runs.
         output: Folder for what is made.
     """
@@ -48,6 +49,7 @@ class PolicyConfig(TaskConfig):
     switch_distance: float = field(metadata=number(0, 100, "m", above=True))
     suite: SuiteConfig | None
     seed: int = field(metadata=number(0, MAX_SEED))
+    torch_threads: int = field(metadata=number(1, 1024, zero="every core"))
     logger: RunsConfig
     output: str | None
 

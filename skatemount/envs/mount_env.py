@@ -61,6 +61,7 @@ class MountEnv(EnvBase):
         task: The task.
         physics: The engine.
         statistics: Statistics of the episodes that ended.
+        torch_threads: Number of torch's threads that a step uses, and that suits a policy's actions; None for all.
         listeners: Functions that are called after every step. They must copy the parts of the episodes that they keep.
     """
 
@@ -94,7 +95,7 @@ class MountEnv(EnvBase):
         self._sim: SimState | None = None
         self._substeps = config.substeps
         self._random_phase = random_phase
-        self._torch_threads = 1 if n < MANY_WORLDS else None
+        self.torch_threads = 1 if n < MANY_WORLDS else None
         self._make_specs(n)
         self.set_seed(seed)
 
@@ -210,7 +211,7 @@ class MountEnv(EnvBase):
         Returns:
             ``[K]`` int64, the chosen worlds, and their first observations by key.
         """
-        with torch_threads(self._torch_threads):
+        with torch_threads(self.torch_threads):
             rows = mask.nonzero().squeeze(1)
             return rows, self._begin(mask, rows, self._queue.take(len(rows)))
 
@@ -264,7 +265,7 @@ class MountEnv(EnvBase):
     @plain_defaults
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._check_open()
-        with torch_threads(self._torch_threads):
+        with torch_threads(self.torch_threads):
             # A step is several hundred small operations, which take less time to launch without autograd.
             with torch.inference_mode():
                 outcome, observations, failed = self._advance(tensordict["action"])

@@ -53,14 +53,22 @@ class Evaluator:
         config: Settings of the task, with its noise and randomization.
         num_worlds: Number of worlds; None for the number in the settings.
         seed: Seed of worlds, initial states and noise.
+        torch_threads: Number of threads of the policy's matrix products, whose rounding depends on it.
 
     Attributes:
         env: The environment.
     """
 
-    def __init__(self, config: TrainConfig, num_worlds: int | None = None, seed: int = EVALUATION_SEED) -> None:
+    def __init__(
+        self,
+        config: TrainConfig,
+        num_worlds: int | None = None,
+        seed: int = EVALUATION_SEED,
+        torch_threads: int = 1,
+    ) -> None:
         self.config = config
         self.seed = seed
+        self._torch_threads = torch_threads
         self.env = MountEnv(MountTask(config=config), num_worlds=num_worlds, seed=seed)
         self._tracker = EpisodeTracker(self.env)
         # The statistics that a training logs are not needed here.
@@ -119,7 +127,7 @@ class Evaluator:
         """
         env, tracker = self.env, self._tracker
         watch = watch or (lambda step: None)
-        with deterministic():
+        with deterministic(self._torch_threads):
             env.set_seed(mix_seeds(self.seed, number))
             state = env.reset()
             actor = policy.actor_in(env)
@@ -159,16 +167,19 @@ class Evaluator:
 
 
 @contextlib.contextmanager
-def deterministic() -> Iterator[None]:
-    """Use mean actions, no gradients, and matrix products of full precision on one thread, for a ``with`` block.
+def deterministic(threads: int = 1) -> Iterator[None]:
+    """Use mean actions, no gradients, and matrix products of full precision, for a ``with`` block.
 
     The rounding of a matrix product depends on torch's number of threads. Physics, which takes nearly all the time,
     does not depend on its number of threads and keeps it.
+
+    Args:
+        threads: Torch's number of threads.
     """
     precision = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("highest")
     try:
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC), torch_threads(1):
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC), torch_threads(threads):
             yield
     finally:
         torch.set_float32_matmul_precision(precision)

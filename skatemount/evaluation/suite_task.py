@@ -27,6 +27,7 @@ from skatemount.envs.tasks import TASKS
 from skatemount.evaluation.evaluator import EVALUATION_SEED, NUM_WORLDS, Evaluator, mix_seeds
 from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.results import Evaluation
+from skatemount.utils.devices import available_cores
 from skatemount.utils.errors import ConfigError
 
 _MACHINE = ("engine", "device", "threads", "max_contacts", "max_constraints")
@@ -51,6 +52,7 @@ class EvaluationTask:
         configs: Settings of the task by variant. A suite without variants has one, named "".
         overrides: The user's overrides of the task's settings.
         seed: The user's seed.
+        torch_threads: Torch's number of threads.
     """
 
     agent: TrainedPolicy
@@ -59,6 +61,7 @@ class EvaluationTask:
     configs: dict[str, TrainConfig]
     overrides: list[str]
     seed: int
+    torch_threads: int = 1
 
     @classmethod
     def prepare(cls, config: PolicyConfig, overrides: Sequence[str]) -> list[EvaluationTask]:
@@ -85,7 +88,10 @@ class EvaluationTask:
             agent = SwitchingAgent.load_pair(config.pipeline, config.switch_distance, config.logger.root)
         asked = [o for o in overrides if _key(o).partition(".")[0] in {*keys(TaskConfig), "task"}]
         suites = [config.suite] if config.suite is None else members_of(config.suite)
-        return [cls.of(agent, suite, asked, config.seed) for suite in suites]
+        tasks = [cls.of(agent, suite, asked, config.seed) for suite in suites]
+        for task in tasks:
+            task.torch_threads = config.torch_threads or available_cores()
+        return tasks
 
     @classmethod
     def of(
@@ -147,7 +153,7 @@ class EvaluationTask:
         config = self.configs[variant]
         suite_seed = 0 if self.suite is None else self.suite.seed
         seed = mix_seeds(EVALUATION_SEED + self.seed, suite_seed, list(self.configs).index(variant))
-        evaluator = Evaluator(config, config.physics.num_worlds, seed)
+        evaluator = Evaluator(config, config.physics.num_worlds, seed, self.torch_threads)
         try:
             check_interface(self.agent.card, evaluator.env.task, self.agent.settings[0])
         except ConfigError:
@@ -203,6 +209,8 @@ class EvaluationTask:
             words.append(f"suite={self.suite.name}")
         if self.seed:
             words.append(f"seed={self.seed}")
+        if self.torch_threads > 1:
+            words.append(f"torch_threads={self.torch_threads}")
         plugins = next(iter(self.configs.values())).plugins
         if plugins and not any(_key(o) == "plugins" for o in self.overrides):
             words.append(written(plugins))

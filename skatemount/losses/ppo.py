@@ -16,6 +16,7 @@ from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR, LossModule
 from torchrl.objectives.value import GAE
 
 from skatemount.losses.base import Algorithm
+from skatemount.losses.concurrent import ConcurrentCritic
 from skatemount.losses.config import AlgorithmConfig
 from skatemount.models.base import Networks
 from skatemount.utils.errors import ConfigError
@@ -69,7 +70,11 @@ class PPO(Algorithm):
         self._bf16 = bf16
         self._generator = generator
         self._actor, self._critic = networks.learners()
-        self.loss = self.make_loss(*networks.learners(config.compile))
+        actor, critic = networks.learners(config.compile)
+        self._concurrent: ConcurrentCritic | None = None
+        if ConcurrentCritic.supports(actor, critic) and not config.compile:
+            critic = self._concurrent = ConcurrentCritic(critic, self._computing)
+        self.loss = self.make_loss(actor, critic)
         gamma, lmbda = math.exp(-control_step / config.discount_horizon), math.exp(-control_step / config.gae_horizon)
         self._gae = GAE(gamma=gamma, lmbda=lmbda, value_network=None)
         learned = {name: p for name, p in networks.named_parameters() if p.requires_grad}
@@ -156,6 +161,10 @@ class PPO(Algorithm):
             FloatingPointError: The batch is not finite, and nothing has changed; or the loss or the gradient is not
                 finite, and the weights are those before that minibatch.
         """
+        with self._concurrent.two_threads() if self._concurrent is not None else contextlib.nullcontext():
+            return self._update(batch)
+
+    def _update(self, batch: TensorDictBase) -> dict[str, float]:
         self._check_finite(batch)
         self.networks.observe(batch)
         inputs = self.networks.prepare(batch)
@@ -236,6 +245,8 @@ class PPO(Algorithm):
     def _step(self, part: TensorDictBase) -> dict[str, Tensor]:
         """Take a gradient step on a minibatch, ``[rows]``, and return the losses."""
         try:
+            if self._concurrent is not None:
+                self._concurrent.start(part)
             with self._computing():
                 losses = self.loss(part)
         except BackendCompilerFailed as error:
@@ -246,6 +257,8 @@ class PPO(Algorithm):
         total = sum(value for name, value in losses.items() if name.startswith("loss_"))
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
+        if self._concurrent is not None:
+            self._concurrent.join()
         norm = nn.utils.clip_grad_norm_(self._parameters, self.config.max_grad_norm)
         if not bool(torch.isfinite(norm) & torch.isfinite(total)):
             raise FloatingPointError(f"loss {float(total.detach())} or gradient {float(norm)} is not finite")

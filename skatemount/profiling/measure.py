@@ -18,12 +18,11 @@ from typing import Any
 import torch
 
 from skatemount.config import BenchProgramConfig
-from skatemount.envs.physics.cpu import available_cores
 from skatemount.profiling.stopwatch import COLLECTING, LEARNING, profile_trainer
 from skatemount.profiling.workload import BenchWorkload
 from skatemount.runs.provenance import package_versions
 from skatemount.training.trainer import Trainer
-from skatemount.utils.devices import choose_device
+from skatemount.utils.devices import available_cores, choose_device
 from skatemount.utils.quiet import ignore_library_warnings
 
 FIGURES = ("raw", "env", "collect", "learn", "train")

@@ -12,10 +12,10 @@ from skatemount.config import TrainConfig
 from skatemount.envs import MountTask
 from skatemount.envs.mdp import Mdp
 from skatemount.envs.mirror import mirror_map
-from skatemount.envs.physics.cpu import available_cores
 from skatemount.models import base as models
 from skatemount.models.base import Networks
 from skatemount.models.symmetry import Reflection
+from skatemount.utils.devices import available_cores
 from skatemount.utils.memory import disable_malloc_trim
 
 

@@ -42,7 +42,7 @@ from skatemount.training.state import (
     load_parts,
     save_parts,
 )
-from skatemount.utils.devices import rng_state, seconds, set_rng_state
+from skatemount.utils.devices import on_threads, rng_state, seconds, set_rng_state
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.signals import Ended, ending_by_signals, shielded
 
@@ -317,7 +317,7 @@ class Trainer:
         try:
             mark = started
             self._before = self._snapshot()
-            for batch in collector:
+            for batch in on_threads(collector, self.env.torch_threads):
                 collected = seconds(device)
                 self._memory = memory_after(batch, self.networks.state_keys)
                 self._call("on_batch_collected", batch)

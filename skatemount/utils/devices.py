@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import ParamSpec, TypeVar
 
 import torch
@@ -16,6 +17,7 @@ from skatemount.utils.errors import ConfigError
 
 P = ParamSpec("P")
 R = TypeVar("R")
+T = TypeVar("T")
 
 
 def choose_device(name: str) -> torch.device:
@@ -44,6 +46,13 @@ def seconds(device: torch.device) -> float:
     return time.perf_counter()
 
 
+def available_cores() -> int:
+    """Return the number of cores that this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 @contextlib.contextmanager
 def torch_threads(number: int | None) -> Iterator[None]:
     """Set torch's number of threads for a ``with`` block; None leaves it unchanged."""
@@ -56,6 +65,18 @@ def torch_threads(number: int | None) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+def on_threads(items: Iterable[T], number: int | None) -> Iterator[T]:
+    """Yield items that are computed with some number of torch's threads; the caller's number stays as it is."""
+    iterator = iter(items)
+    while True:
+        with torch_threads(number):
+            try:
+                item = next(iterator)
+            except StopIteration:
+                return
+        yield item
 
 
 def plain_defaults(function: Callable[P, R]) -> Callable[P, R]:

@@ -246,8 +246,8 @@ def test_episodes_that_began_in_the_middle_teach_nothing(make_env) -> None:
     env = make_env("unfixed", 64, ["episode_length=0.2"], random_phase=True)
     env.listeners.append(auto.observe_step)
     env.set_start_sampler(auto.sample_poses)
-    # One step: only the first episodes can have ended, and none of them was a whole one. Those that begin after them are
-    # whole, and a fall may end one of them within two or three steps.
+    # After one step, only first episodes can have ended, and none of them was a whole one. Those that follow are whole,
+    # and a fall may end one of them within two or three steps.
     ended = env.rollout(1, break_when_any_done=False)["next", "done"]
     assert ended.any() and auto.episodes.sum() == 0
     env.rollout(12, break_when_any_done=False)

@@ -160,6 +160,22 @@ def test_the_command_that_films_an_episode(path: Path) -> None:
     assert shlex.split(task.record_command(12)) == [*expected, "episode=12"]
 
 
+def test_threads_are_settings_of_an_evaluation(path: Path) -> None:
+    """Both are used, and only torch's number changes the rounding, so the command that films repeats it."""
+    (task,) = prepare(path, "suite=mount-fixed", "physics.threads=2", "torch_threads=2", "physics.num_worlds=4")
+    assert "torch_threads=2" in shlex.split(task.record_command(0))
+    used = set()
+    act = task.agent.policy.actor_in
+    task.agent.policy.actor_in = lambda env: lambda state: used.add(torch.get_num_threads()) or act(env)(state)
+    evaluator = task.evaluator("")
+    try:
+        assert evaluator.env.physics.threads == 2
+        evaluator.round(task.agent.policy, 0)
+    finally:
+        evaluator.close()
+    assert used == {2}
+
+
 def test_a_suite_of_suites_is_a_task_each(path: Path) -> None:
     trials = prepare(path, "suite=all", "suite.members=[far,low-friction]", "episode_length=2")
     assert [task.name for task in trials] == ["far", "low-friction"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 
 import mujoco
 import numpy as np
@@ -15,6 +14,7 @@ from skatemount.envs.physics.base import StartState, posed_data
 from skatemount.envs.physics.board_start import BoardStart
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState, StateReader
+from skatemount.utils.devices import available_cores
 
 _POSITION_AND_VELOCITY = mujoco.mjtStage.mjSTAGE_VEL.value
 _EVERYTHING = mujoco.mjtStage.mjSTAGE_ACC.value
@@ -29,13 +29,6 @@ _DIVERGED = [
 ]
 
 _OVERFLOWED = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
-
-
-def available_cores() -> int:
-    """Return the number of cores that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class CpuPhysics:
