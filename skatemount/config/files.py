@@ -171,6 +171,8 @@ def _groups_of(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.is_dir() and path.name != SHARED)
 
 
+# The package's files do not change while it runs, and every composition asks several times.
+@functools.cache
 def _listed(program: str) -> set[str]:
     """Return the groups in a program's defaults list, with those of the files that it includes."""
     found: set[str] = set()
