@@ -137,6 +137,10 @@ def plain(composed: DictConfig) -> dict[str, Any]:
     return values  # type: ignore[return-value]
 
 
+# A merge copies it, so one is enough for all compositions.
+_schema = functools.cache(OmegaConf.structured)
+
+
 def checked(
     values: dict[str, Any], program: str, untrusted: str | None = None, training: bool = True, sizes: bool = True
 ) -> TaskConfig:
@@ -156,7 +160,7 @@ def checked(
     schema = PROGRAMS[program]
     _check_keys(values, schema, program)
     try:
-        result = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(schema), values))
+        result = OmegaConf.to_object(OmegaConf.merge(_schema(schema), values))
     except ConfigError:
         raise
     except MissingMandatoryValue as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -20,6 +21,10 @@ from skatemount.utils.errors import ConfigError
 
 HOLD = 1.0
 """Time that the robot must have been mounted at the end of an episode, s."""
+
+
+# A merge copies it, and making it takes longer than the rest of a row.
+_schema = functools.cache(OmegaConf.structured)
 
 
 def _terms(kind: type, table: dict[str, Any], where: str) -> dict[str, Any]:
@@ -51,7 +56,7 @@ def _terms(kind: type, table: dict[str, Any], where: str) -> dict[str, Any]:
             if key not in known:
                 raise ConfigError(f"{where}.{name}.{key}={value} is not a setting of a term; known: {', '.join(known)}")
         try:
-            rows[name] = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(kind), row or {}))
+            rows[name] = OmegaConf.to_object(OmegaConf.merge(_schema(kind), row or {}))
         except (OmegaConfBaseException, ValueError) as error:
             said = str(error).splitlines()[0]
             raise ConfigError(f"{where}.{name}={row}: {said}") from error
