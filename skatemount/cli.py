@@ -14,10 +14,11 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from skatemount import multirun
-from skatemount.config import config_dir, set_user_config_dir, stages, suites
-from skatemount.config.compose import checked, plain
+from skatemount.config import config_dir, set_user_config_dir, stages, suites, user_config_dir
+from skatemount.config.compose import checked, composed_values, plain
 from skatemount.config.messages import is_of_library, reason
-from skatemount.config.overrides import check_option, prepare, read
+from skatemount.config.overrides import check_option, is_hydras, prepare, read
+from skatemount.config.own_files import check_own_files
 from skatemount.config.versions import rename_override
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.quiet import ignore_library_warnings
@@ -62,10 +63,14 @@ def run(verb: Callable[..., float | None], program: str) -> None:
             print(help_text(program))
             return
         sys.argv[1:], settings = _prepared(sys.argv[1:], program)
+        check_own_files(settings)
         if multirun.is_asked_for(sys.argv[1:]):
             if multirun.run(verb, program, settings):
                 sys.exit(1)
             return
+        if user_config_dir() is not None:
+            # Hydra ends in a traceback about some mistakes in a file; composing alone is one line about any.
+            composed_values(program, [each for each in settings if not is_hydras(each)])
         application()
     except Exception as error:
         if isinstance(error, ConfigError | OSError) or is_of_library(error):

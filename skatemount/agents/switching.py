@@ -90,6 +90,11 @@ class SwitchingAgent(TrainedPolicy):
         return SwitchingPolicy(self.walker.networks, self.networks, self.walker_indices, self.switch_distance)
 
     @property
+    def modules(self) -> list[str]:
+        """Modules of the user that the policies need."""
+        return list(dict.fromkeys([*self.walker.modules, *super().modules]))
+
+    @property
     def settings(self) -> list[str]:
         """Settings that name it on a command line."""
         return [f"pipeline={self.walker.spec}+{self.spec}", f"switch_distance={self.switch_distance}"]

@@ -14,6 +14,7 @@ from skatemount import config as configuration
 from skatemount.agents.interface import action_interface, observation_layout
 from skatemount.agents.policy import Policy
 from skatemount.config import TrainConfig
+from skatemount.config.plugins import modules_of
 from skatemount.envs.task import MountTask
 from skatemount.models.base import Networks, make_networks
 from skatemount.models.normalization import is_old_count
@@ -93,6 +94,11 @@ class TrainedPolicy:
     def settings(self) -> list[str]:
         """Settings that name it on a command line."""
         return [f"checkpoint={self.spec}"]
+
+    @property
+    def modules(self) -> list[str]:
+        """Modules of the user that it needs."""
+        return modules_of(self.config, training=False)
 
     @property
     def name(self) -> str:

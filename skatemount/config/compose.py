@@ -20,6 +20,7 @@ from skatemount.config.files import config_dir as package_config_dir
 from skatemount.config.keys import in_words, is_known, keys, unknown
 from skatemount.config.messages import one_line
 from skatemount.config.overrides import prepare
+from skatemount.config.own_files import check_own_files, with_path, with_place
 from skatemount.config.plugins import import_classes, import_plugins, require_classes, require_plugins
 from skatemount.config.programs import PROGRAMS
 from skatemount.config.schema import TrainConfig
@@ -82,7 +83,9 @@ def composed_values(program: str, overrides: Sequence[str]) -> dict[str, Any]:
     Raises:
         ConfigError: An unknown setting or choice.
     """
-    values = _composed(program, tuple([*_search_path(), *prepare(overrides, program)]), _fingerprint())
+    prepared = prepare(overrides, program)
+    check_own_files(prepared)
+    values = _composed(program, tuple([*_search_path(), *prepared]), _fingerprint())
     return copy.deepcopy(values)
 
 
@@ -103,7 +106,7 @@ def _composed(program: str, overrides: tuple[str, ...], fingerprint: tuple[int, 
     except ConfigError:
         raise
     except Exception as error:
-        raise ConfigError(one_line(error)) from error
+        raise ConfigError(with_path(one_line(error))) from error
     finally:
         GlobalHydra.instance().hydra = running
 
@@ -157,6 +160,17 @@ def checked(
     Raises:
         ConfigError: A key that does not exist, one that is missing, or a value that cannot be used.
     """
+    try:
+        return _checked(values, program, untrusted, training, sizes)
+    except ConfigError as error:
+        # Only saved settings may be of another machine's size; they come from no file of the user's.
+        placed = with_place(error, values) if sizes else error
+        if placed is error:
+            raise
+        raise placed from error
+
+
+def _checked(values: dict[str, Any], program: str, untrusted: str | None, training: bool, sizes: bool) -> TaskConfig:
     schema = PROGRAMS[program]
     _check_keys(values, schema, program)
     try:

@@ -126,19 +126,13 @@ def load_file(group: str, name: str) -> dict[str, Any]:
     return read_yaml(find_file(group, name))
 
 
-def check_own_file(group: str, name: str) -> None:
-    """Raise `ConfigError` if a file of the user's own groups cannot be read; Hydra would hang on a bomb of aliases."""
-    if _user_dir is not None and (path := _user_dir / group / f"{name}.yaml").is_file():
-        read_yaml(path)
-
-
 def stages() -> dict[str, str]:
-    """Return every stage with its one-line description."""
+    """Return every stage with its one-line description; for a file that cannot be read, with what is wrong."""
     return _described("stage", "stage.description")
 
 
 def suites() -> dict[str, str]:
-    """Return every suite with its one-line description."""
+    """Return every suite with its one-line description; for a file that cannot be read, with what is wrong."""
     return _described("suite", "description")
 
 
@@ -160,11 +154,22 @@ def no_choice(group: str, name: str) -> str:
 def _described(group: str, key: str) -> dict[str, str]:
     found = {}
     for name in choices(group):
-        value: Any = load_file(group, name)
+        try:
+            value: Any = load_file(group, name)
+        except ConfigError as error:
+            found[name] = f"broken: {error}"
+            continue
         for part in key.split("."):
             value = (value.get(part) or {}) if isinstance(value, dict) else {}
         found[name] = str(value or "")
     return found
+
+
+def before_tasks() -> list[str]:
+    """Return the groups that stand before the task in the defaults list, which a task's file can override."""
+    entries = read_yaml(config_dir() / SHARED / "task.yaml")["defaults"]
+    found = [key.lstrip("/") for entry in entries if isinstance(entry, dict) for key in entry]
+    return found[: found.index("task")]
 
 
 def _groups_of(folder: Path) -> list[Path]:

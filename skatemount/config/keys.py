@@ -111,7 +111,7 @@ def suggestions(schema: type[TaskConfig], key: str) -> list[str]:
         for table in (RENAMED, ELSEWHERE):
             if word in table:
                 return [table[word]]
-    known = [*keys(schema), *groups()]
+    known = list(dict.fromkeys([*keys(schema), *groups()]))
     by_last: dict[str, list[str]] = {}
     for each in known:
         by_last.setdefault(each.rpartition(".")[2], []).append(each)

@@ -13,7 +13,7 @@ from hydra.core.override_parser.types import Override as HydraOverride
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
 
-from skatemount.config.files import check_own_file, choices, groups, no_choice
+from skatemount.config.files import choices, groups, no_choice
 from skatemount.config.keys import is_known, keys, suggestions, table_of, unknown
 from skatemount.config.programs import PROGRAMS
 from skatemount.config.versions import rename_override
@@ -118,6 +118,12 @@ def read(override: str) -> HydraOverride:
     return parsed
 
 
+def is_hydras(override: str) -> bool:
+    """Return whether an override is about Hydra itself, such as ``hydra.launcher.n_jobs=2``."""
+    key = Override.parse(override).key
+    return key == "hydra" or key.startswith(("hydra.", "hydra/"))
+
+
 def hydra_text(text: str) -> str:
     """Return a text in quotes, so that Hydra reads it as it is."""
     return QuotedString(text, Quote.single).with_quotes()
@@ -188,7 +194,7 @@ _OPTIONS = {"--help", "--hydra-help", "--version", "--cfg", "--resolve", "--pack
 
 def _prepared(override: Override, written: str, program: str) -> str:
     schema, key = PROGRAMS[program], override.key
-    if key == "hydra" or key.startswith(("hydra.", "hydra/")):
+    if is_hydras(written):
         return override.written
     if override.group in groups(program):
         _check_choices(override, written)
@@ -218,7 +224,6 @@ def _check_choices(override: Override, written: str) -> None:
             raise ConfigError(f"{written}: leave suite out for the task that the policy was trained in")
         if name not in known and name != "null" and not name.startswith(("glob(", "choice(")):
             raise ConfigError(f"{written}: {no_choice(override.group, name)}")
-        check_own_file(override.group, name)
 
 
 def _is_whole(hint: object) -> bool:

@@ -11,7 +11,8 @@ import importlib
 import re
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from skatemount.config.registries import POLICY_CLASSES, TRAINING_CLASSES, adopt, class_names, registries
 from skatemount.envs.config.task import TaskConfig
@@ -84,7 +85,18 @@ def require_classes(config: TaskConfig, where: str, training: bool = True) -> No
         (POLICY_CLASSES | TRAINING_CLASSES)[setting].find(name, f"{where}: {setting}")
 
 
-def _classes(config: TaskConfig, training: bool) -> list[tuple[str, str]]:
+def modules_of(config: TaskConfig | Mapping[str, Any], training: bool = True) -> list[str]:
+    """Return the modules of the user that settings need: the plugins, then those of the classes that they name.
+
+    Args:
+        config: The settings, as dataclasses or as plain values.
+        training: Return those that only a training needs as well.
+    """
+    plugins = config.get("plugins") or [] if isinstance(config, Mapping) else config.plugins
+    return list(dict.fromkeys([*plugins, *(module_of(name) for _, name in _classes(config, training))]))
+
+
+def _classes(config: TaskConfig | Mapping[str, Any], training: bool) -> list[tuple[str, str]]:
     return class_names(config, POLICY_CLASSES | TRAINING_CLASSES if training else POLICY_CLASSES)
 
 

@@ -99,18 +99,18 @@ class Table:
         """Check nothing: a value of a wrong kind is found when it is used."""
 
 
-def class_names(config: TaskConfig, settings: Mapping[str, ClassRegistry]) -> list[tuple[str, str]]:
+def class_names(config: TaskConfig | Mapping[str, Any], settings: Mapping[str, ClassRegistry]) -> list[tuple[str, str]]:
     """Return the settings that name a ``module:Class``, each with that name.
 
     Args:
-        config: The settings of a program.
+        config: The settings of a program, as dataclasses or as plain values.
         settings: `POLICY_CLASSES`, `TRAINING_CLASSES` or both; those that the program does not have are left out.
     """
     found = []
     for setting in settings:
         value: Any = config
         for part in setting.split("."):
-            value = getattr(value, part, None)
+            value = value.get(part) if isinstance(value, Mapping) else getattr(value, part, None)
         names = value if isinstance(value, list) else [value]
         found += [(setting, name) for name in names if isinstance(name, str) and ":" in name]
     return found

@@ -18,9 +18,9 @@ from skatemount.agents.interface import check_interface
 from skatemount.agents.switching import SwitchingAgent
 from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import PolicyConfig, TrainConfig
-from skatemount.config.files import load_file
+from skatemount.config.files import choices, find_file, load_file
 from skatemount.config.keys import keys
-from skatemount.config.plugins import written
+from skatemount.config.plugins import modules_of, written
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.config.task import TaskConfig
 from skatemount.envs.tasks import TASKS
@@ -211,10 +211,11 @@ class EvaluationTask:
             words.append(f"seed={self.seed}")
         if self.torch_threads > 1:
             words.append(f"torch_threads={self.torch_threads}")
-        plugins = next(iter(self.configs.values())).plugins
-        if plugins and not any(_key(o) == "plugins" for o in self.overrides):
-            words.append(written(plugins))
-        return shlex.join([*words, *self.overrides, f"episode={episode}"])
+        modules = [*self.agent.modules, *modules_of(next(iter(self.configs.values())), training=False)]
+        if modules:
+            words.append(written(list(dict.fromkeys(modules))))
+        others = [o for o in self.overrides if _key(o) != "plugins"]
+        return shlex.join([*words, *others, f"episode={episode}"])
 
     def describe(self) -> dict[str, Any]:
         """Return policy, suite, overrides and seed as plain values: all that is needed to repeat the evaluation."""
@@ -243,7 +244,7 @@ def load_suite(name: str) -> SuiteConfig:
     try:
         found = OmegaConf.to_object(OmegaConf.merge(schema, {"suite": load_file("suite", name)}).suite)
     except OmegaConfBaseException as error:
-        raise ConfigError(configuration.one_line(error)) from error
+        raise ConfigError(f"{find_file('suite', name)}: {configuration.one_line(error)}") from error
     assert isinstance(found, SuiteConfig)
     found.validate()
     return found
@@ -296,7 +297,7 @@ def evaluation_config(
             raise ConfigError(f"{override}: a policy has its own {key}; give {instead} instead")
     stage = policy.stage.name if suite is None else suite.stage
     # The policy's stage may not exist in this version.
-    known = suite is not None or stage in configuration.stages()
+    known = suite is not None or stage in choices("stage")
     changes = [] if suite is None else [*suite.overrides, *variant]
     theirs = {_key(o) for o in overrides}
     changes = [*(o for o in changes if _key(o) not in theirs), *overrides]

@@ -5,26 +5,35 @@ from __future__ import annotations
 import shlex
 
 from skatemount import config as configuration
-from skatemount.config.files import load_file
-from skatemount.config.plugins import written
+from skatemount.config.compose import composed_values
+from skatemount.config.files import choices, load_file
+from skatemount.config.plugins import modules_of, written
 from skatemount.runs import checkpoint
 from skatemount.runs.folder import RunFolder
+from skatemount.utils.errors import ConfigError
 
 
 def next_commands(run: RunFolder) -> str:
     """Return the commands that evaluate and film a run's latest policy, one a line, to be pasted into a shell.
 
-    The suite is the first one of the run's stage that is named after it; the training's own task if there is none.
+    The suite is the first one of the run's stage and task that is named after the stage; the training's own task if
+    there is none.
     """
-    stage = run.config["stage"]["name"] if run.latest is None else checkpoint.read_card(run.latest).stage
-    plugins = run.config.get("plugins")
-    policy = [f"checkpoint={run.path}", *([written(plugins)] if plugins else [])]
+    values = run.config
+    stage = values["stage"]["name"] if run.latest is None else checkpoint.read_card(run.latest).stage
+    policy = policy_settings(run)
     # A stage of one's own may be called like a part of a suite's name.
-    named = [name for name in configuration.suites() if stage in name.split("-")]
-    suite = [f"suite={name}" for name in named if load_file("suite", name).get("stage") == stage][:1]
+    named = (name for name in choices("suite") if stage in name.split("-"))
+    suite = next(([f"suite={name}"] for name in named if _is_of(name, stage, values.get("success"))), [])
     options = configuration.config_dir_options() if suite else []
     evaluate = ["python", "-m", "skatemount.evaluate", *options, *policy, *suite]
     return f"next:\n  {shlex.join(evaluate)}\n  {shlex.join(['python', '-m', 'skatemount.record', *policy])}"
+
+
+def policy_settings(run: RunFolder) -> list[str]:
+    """Return the settings that name a run's latest policy on a command line, with the modules that it needs."""
+    modules = modules_of(run.config, training=False)
+    return [f"checkpoint={run.path}", *([written(modules)] if modules else [])]
 
 
 def what_is_left(run: RunFolder, frames: int) -> str:
@@ -36,5 +45,25 @@ def what_is_left(run: RunFolder, frames: int) -> str:
     """
     if run.latest is None:
         return f"nothing was trained in {run.path}"
-    command = shlex.join(["python", "-m", "skatemount.train", f"resume={run.path}"])
-    return f"{frames:,} steps are saved in {run.latest}; go on with: {command}"
+    modules = modules_of(run.config)
+    words = ["python", "-m", "skatemount.train", f"resume={run.path}", *([written(modules)] if modules else [])]
+    return f"{frames:,} steps are saved in {run.latest}; go on with: {shlex.join(words)}"
+
+
+def _is_of(suite: str, stage: str, success: str | None) -> bool:
+    """Return whether a suite tests a stage, with the run's own task.
+
+    Args:
+        suite: Name of the suite.
+        stage: Name of the run's stage.
+        success: The task of the run; None if its saved settings do not say.
+    """
+    try:
+        values = load_file("suite", suite)
+        if values.get("stage") != stage:
+            return False
+        changes = [*values.get("overrides", []), *next(iter(values.get("variants", {}).values()), [])]
+        return success in (None, composed_values("train", [f"stage={stage}", *changes])["success"])
+    except ConfigError:
+        # A file of one's own that is broken, or the stage of another folder.
+        return False

@@ -28,12 +28,29 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: has {len(data)} bytes; settings have at most {MAX_BYTES}")
     try:
         values = yaml.safe_load(data.decode("utf-8"))
+    except yaml.MarkedYAMLError as error:
+        raise ConfigError(f"{path}{_line(error)}: not plain YAML ({_problem(error)})") from error
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: not plain YAML ({' '.join(str(error).split())[:300]})") from error
     if not isinstance(values, dict):
-        raise ConfigError(f"{path}: holds a {type(values).__name__}, a mapping is needed")
+        found = "nothing" if values is None else f"a {type(values).__name__}"
+        raise ConfigError(f"{path}: holds {found}, a mapping is needed")
     check_size(values, str(path))
     return values
+
+
+def _line(error: yaml.MarkedYAMLError) -> str:
+    mark = error.problem_mark or error.context_mark
+    return "" if mark is None else f", line {mark.line + 1}"
+
+
+def _problem(error: yaml.MarkedYAMLError) -> str:
+    """Return what a YAML error says, without the text around it."""
+    said = " ".join(f"{error.context or ''} {error.problem or ''}".split())
+    begun = error.context_mark
+    if begun is not None and error.problem_mark is not None and begun.line != error.problem_mark.line:
+        said += f", begun in line {begun.line + 1}"
+    return said[:300]
 
 
 def check_size(values: Any, where: str) -> None:
