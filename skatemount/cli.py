@@ -19,7 +19,7 @@ from skatemount.config.compose import checked, composed_values, plain
 from skatemount.config.messages import is_of_library, reason
 from skatemount.config.overrides import check_option, is_hydras, prepare, read
 from skatemount.config.own_files import check_own_files
-from skatemount.config.versions import rename_override
+from skatemount.config.versions import renaming
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.quiet import ignore_library_warnings
 from skatemount.utils.terminal import safe_streams
@@ -143,10 +143,8 @@ def _prepared(arguments: list[str], program: str) -> tuple[list[str], list[str]]
                 check_option(argument, program)
             result.append(argument)
             continue
-        today = rename_override(argument)
-        if today != argument:
-            old, new = (each.lstrip("+~").partition("=")[0] for each in (argument, today))
-            print(f"note: {old} is called {new} now", file=sys.stderr)
+        if (renamed := renaming(argument)) is not None:
+            print(f"note: {renamed}", file=sys.stderr)
         # Paths may be relative to the folder of all runs.
         settings.append(prepare([*roots, argument], program, several)[-1])
         read(settings[-1])

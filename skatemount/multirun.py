@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import shlex
+import signal
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,9 +24,10 @@ from skatemount.config.messages import is_of_library, reason
 from skatemount.config.overrides import hydra_text, read
 from skatemount.evaluation import sweep_report
 from skatemount.runs import atomic
-from skatemount.runs.sweep import RESULTS_FILE, Job, SweepFolder, key_of, open_sweep
+from skatemount.runs.sweep import RESULTS_FILE, Job, SweepFolder, analyze, key_of, open_sweep
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.quiet import ignore_library_warnings
+from skatemount.utils.signals import Ended
 from skatemount.utils.terminal import safe_streams
 
 TRAIN = "train"
@@ -60,6 +63,7 @@ def run(verb: Callable[..., float | None], program: str, settings: Sequence[str]
         if key_of(each) in _OURS:
             raise ConfigError(f"{each}: the folder of a multirun is chosen by logger.root and logger.experiment")
     parent, name = _place(program, settings)
+    _check_ahead(program, settings)
     options = configuration.config_dir_options()
     with open_sweep(parent, name, program, [*options, *settings], repeat=program != TRAIN) as sweep:
         sweep.config_dir = options[-1] if options else None
@@ -71,9 +75,82 @@ def run(verb: Callable[..., float | None], program: str, settings: Sequence[str]
         application = hydra.main(str(configuration.config_dir().absolute()), program, version_base="1.3")
         try:
             application(_Task(verb, sweep))()
+        except KeyboardInterrupt as error:
+            end = error if isinstance(error, Ended) else Ended(signal.SIGINT)
+            raise Ended(end.signum, f"the sweep is kept in {sweep.path}{_AGAIN}" if program == TRAIN else "") from None
         finally:
             failed = _finish(sweep)
     return failed
+
+
+_AGAIN = "; start the same command again: it skips the jobs that have finished, and resumes one that was cut off"
+
+
+def _check_ahead(program: str, settings: Sequence[str]) -> None:
+    """Check the settings of every job before the first one starts, as far as the jobs are known by then.
+
+    Args:
+        program: Name of the program.
+        settings: The settings on the command line in Hydra's form.
+
+    Raises:
+        ConfigError: A setting that cannot be used in any job.
+        SystemExit: Settings of some jobs that cannot be used; a line for each job is printed.
+    """
+    fixed, total = analyze(settings)
+    if total is None:
+        # The sweeper decides while it runs.
+        return
+    # The plugins of one job may not get along with those of another.
+    whole = "plugins" in fixed or all(key_of(each) != "plugins" for each in settings)
+    sweep = SweepFolder(Path(), program, fixed, total)
+    failed: list[tuple[str, ConfigError]] = []
+    for number, overrides in enumerate(_jobs(settings), 1):
+        try:
+            _check_job(program, overrides, whole)
+        except ConfigError as error:
+            failed.append((sweep.job(number, overrides).describe(), error))
+    if not failed:
+        return
+    everywhere = len(failed) == total and len({str(error) for _, error in failed}) == 1
+    if everywhere or os.environ.get("SKATEMOUNT_TRACEBACK"):
+        raise failed[0][1]
+    for told, error in failed:
+        print(f"skatemount.{program}: {told}: {error}", file=sys.stderr)
+    print(f"skatemount.{program}: nothing was started", file=sys.stderr)
+    sys.exit(2)
+
+
+def _jobs(settings: Sequence[str]) -> Iterator[list[str]]:
+    """Yield the overrides of each job, in the order of Hydra's own sweeper."""
+    parts = []
+    for each in settings:
+        override, values = read(each), [each]
+        if override.is_hydra_override():
+            continue
+        if override.is_sweep_override():
+            values = [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]
+        parts.append(values)
+    return map(list, itertools.product(*parts))
+
+
+def _check_job(program: str, overrides: list[str], whole: bool) -> None:
+    """Raise `ConfigError` for settings of a job that cannot be used.
+
+    Args:
+        program: Name of the program.
+        overrides: The job's overrides.
+        whole: Check the values as well, which imports the job's plugins.
+    """
+    if not whole:
+        composed_values(program, overrides)
+        return
+    config = configuration.compose_program(program, overrides)
+    if program == TRAIN:
+        from skatemount.training.chain import check_stages  # imports torch
+
+        assert isinstance(config, configuration.TrainConfig)
+        check_stages(config, overrides)
 
 
 @dataclass
@@ -203,8 +280,11 @@ def _finish(sweep: SweepFolder) -> bool:
     print(f"\n{sweep_report.text(records)}\n\nwritten to {path}")
     best = sweep_report.best(records)
     if sweep.program == TRAIN and best is not None and best["run"] is not None:
-        checkpoint = f"checkpoint={sweep.path / best['run']}"
-        print(f"best: {shlex.join(['python', '-m', 'skatemount.evaluate', checkpoint])}")
+        from skatemount.runs.folder import RunFolder  # imports torch
+        from skatemount.training.commands import policy_settings
+
+        policy = policy_settings(RunFolder(sweep.path / best["run"]))
+        print(f"best: {shlex.join(['python', '-m', 'skatemount.evaluate', *policy])}")
     sys.stdout.flush()
     failed = [record for record in records if record["status"] == "failed"]
     for record in failed:

@@ -33,14 +33,12 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
         # The imports take seconds.
         print("loading ...", file=sys.stderr, flush=True)
 
-    from skatemount.config import stages
     from skatemount.evaluation import report
-    from skatemount.training.chain import chain_to_train
+    from skatemount.training.chain import chain_to_train, check_stages
     from skatemount.training.commands import next_commands
     from skatemount.training.resume import resume_config
     from skatemount.training.score import save_evaluation, score_of
     from skatemount.training.trainer import Trainer
-    from skatemount.utils.errors import ConfigError
 
     sweep = None
     if job is not None and config.resume is None:
@@ -54,11 +52,7 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
             chain.train()
         print(f"run: {chain.run.path}\n{next_commands(chain.run)}")
         return score_of(chain.run)
-    if config.resume is None and not config.stage.name:
-        raise ConfigError(
-            f"no stage: give stage=<name>, one of {', '.join(stages())} (skatemount list stages describes them), or "
-            "curriculum=paper"
-        )
+    check_stages(config, overrides)
     trainer = Trainer(resume_config(config, overrides), overrides, sweep if config.resume is None else None)
     print(trainer.describe(), flush=True)
     try:

@@ -37,6 +37,8 @@ def scores(config: Any, overrides: list[str], job: Job | None = None) -> float:
     """Stands for a training: its success is a tenth of the seed."""
     if config.seed == 7:
         raise ZeroDivisionError("seven")
+    if config.physics.num_worlds == 9:
+        raise ConfigError("physics.num_worlds=9 is odd")
     print(f"works on {config.seed}", flush=True)
     return Score.of(config.seed, 10, frames=1000)
 
@@ -65,11 +67,11 @@ def sweeps(runs_root: Path) -> list[Path]:
 
 
 def test_a_failing_job_does_not_end_the_others(command: Callable[..., Any], runs_root: Path) -> None:
-    arguments = ["-m", "stage=balance", "physics.num_worlds=8,0", "seed=1,2"]
+    arguments = ["-m", "stage=balance", "physics.num_worlds=8,9", "seed=1,2"]
     status, out, err = command(scores, *arguments)
     assert status == 1
     assert out.count("works on") == 2 and "job 2 of 4: physics.num_worlds=8 seed=2\n" in out
-    reason = "physics.num_worlds=0 seed=1: failed: physics.num_worlds=0 must be from 1 to 1000000"
+    reason = "physics.num_worlds=9 seed=1: failed: physics.num_worlds=9 is odd"
     assert err.splitlines()[-2] == f"skatemount.train: job 3 of 4: {reason}"
     assert "Traceback" not in err
     (sweep,) = sweeps(runs_root)
@@ -87,7 +89,25 @@ def test_a_failing_job_does_not_end_the_others(command: Callable[..., Any], runs
     status, out, err = command(scores, *arguments)
     assert (status, sweeps(runs_root)) == (1, [sweep])
     assert out.count("works on") == 0 and out.count("has finished before, skipped") == 2
-    assert "repeated, it failed before: physics.num_worlds=0 must be from 1 to 1000000" in out
+    assert "repeated, it failed before: physics.num_worlds=9 is odd" in out
+
+
+def test_wrong_settings_of_any_job_end_the_sweep_before_it_starts(command: Callable[..., Any], runs_root: Path) -> None:
+    status, out, err = command(scores, "-m", "stage=balance", "physics.num_worlds=8,0", "seed=-1,2")
+    assert status == 2 and "works on" not in out and list(runs_root.glob("*/*")) == []
+    assert err.splitlines() == [
+        "skatemount.train: job 1 of 4: physics.num_worlds=8 seed=-1: seed=-1 must be from 0 to 4.61169e+18",
+        "skatemount.train: job 3 of 4: physics.num_worlds=0 seed=-1: seed=-1 must be from 0 to 4.61169e+18",
+        "skatemount.train: job 4 of 4: physics.num_worlds=0 seed=2: physics.num_worlds=0 must be from 1 to 1000000",
+        "skatemount.train: nothing was started",
+    ]
+    # What is wrong in all jobs is said once.
+    status, _, err = command(scores, "-m", "stage=balance", "physics.num_worlds=0", "seed=1,2")
+    assert (status, err) == (2, "skatemount.train: physics.num_worlds=0 must be from 1 to 1000000\n")
+    status, _, err = command(scores, "-m", "seed=1,2")
+    assert status == 2 and err.startswith("skatemount.train: no stage: give stage=<name>, one of anywhere,")
+    status, _, err = command(scores, "-m", "plugins=[no_such],[]", "stage=balance")
+    assert status == 1 and "failed: plugins=[no_such]: there is no module no_such" in err
 
 
 def test_an_unexpected_error_is_shown_and_the_others_run(command: Callable[..., Any]) -> None:
@@ -247,8 +267,11 @@ def test_trainings_resume_in_a_sweep(
 
     with monkeypatch.context() as patched:
         patched.setattr(CheckpointCallback, "on_iteration_end", interrupt)
-        status, out, _ = command(first_finishes, *arguments)
-    assert status == 130
+        status, out, err = command(first_finishes, *arguments)
+    assert status == 130 and err.endswith(
+        "; start the same command again: it skips the jobs that have finished, and resumes one that was cut off\n"
+    )
+    assert "\nskatemount.train: ended by SIGINT; the sweep is kept in runs/skatemount/" in err
     (sweep,) = sweeps(runs_root)
     cut_off = RunFolder(sweep / "seed=2").latest
     assert cut_off is not None and cut_off.name == f"step_{BATCH:012d}"
@@ -314,7 +337,7 @@ def test_what_failed_is_repeated_and_goes_on_after_a_full_disk(
 def test_a_killed_multirun_resumes_in_processes(launcher: str, runs_root: Path) -> None:
     tiny = [each for each in TINY if not each.startswith("logger.final")]
     arguments = [
-        "-m", "stage=balance", "physics.num_worlds=8,0", "seed=1,2", *tiny[1:], "total_frames=3200",
+        "-m", "stage=balance", "init_from=null,pretrained:anywhere", "seed=1,2", *tiny, "total_frames=3200",
         "logger.final_episodes=4", "logger.checkpoint_every=5", f"hydra/launcher={launcher}",
         *(["hydra.launcher.n_jobs=2"] if launcher == "joblib" else []),
     ]  # fmt: skip
@@ -327,7 +350,7 @@ def test_a_killed_multirun_resumes_in_processes(launcher: str, runs_root: Path) 
 
     process = start()
     try:
-        while not list(runs_root.glob("*/*/num_worlds=8,seed=1/checkpoints/step_*")):
+        while not list(runs_root.glob("*/*/init_from=null,seed=1/checkpoints/step_*")):
             assert process.poll() is None, process.communicate()[1]
             time.sleep(0.05)
     finally:
@@ -339,14 +362,14 @@ def test_a_killed_multirun_resumes_in_processes(launcher: str, runs_root: Path) 
     process = start()
     out, err = process.communicate()
     assert process.returncode == 1, err
-    assert f"resumes runs/skatemount/{sweep.name}/num_worlds=8,seed=1\n" in out
+    assert f"resumes runs/skatemount/{sweep.name}/init_from=null,seed=1\n" in out
     assert sweeps(runs_root) == [sweep]
     jobs = json.loads((sweep / "results.json").read_text())["jobs"]
     assert [(job["status"], job["steps"], job["run"]) for job in jobs] == [
-        ("finished", 3200, "num_worlds=8,seed=1"),
-        ("finished", 3200, "num_worlds=8,seed=2"),
+        ("finished", 3200, "init_from=null,seed=1"),
+        ("finished", 3200, "init_from=null,seed=2"),
         ("failed", None, None),
         ("failed", None, None),
     ]
-    assert err.count("seed=1: failed: physics.num_worlds=0 must be from 1 to 1000000") == 2
+    assert err.count("seed=1: failed: init_from=pretrained:anywhere: ") == 2
     assert "\x1b" not in out + err

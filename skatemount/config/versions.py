@@ -12,7 +12,7 @@ from typing import Any
 from skatemount.runs.shipped import ALIASES
 from skatemount.utils.errors import ConfigError
 
-FORMAT = 3
+FORMAT = 4
 
 RENAMED: dict[str, str] = {
     "algorithm.clip": "algorithm.clip_epsilon",
@@ -70,6 +70,9 @@ ADDED_LATER: dict[str, Any] = {
 """The same for files of formats 1 and 2."""
 
 
+RENAMED_VALUES: dict[str, dict[str, str]] = {"robot.variant": {"unitree": "a1", "isaac": "a1_isaac"}}
+"""Values of formats 1 to 3 and what they became in format 4, by setting."""
+
 REMOVED = ("bench", "checkpoint", "episode", "episodes", "json", "output", "pipeline", "suite", "switch_distance")
 """Settings of other programs, which files of format 1 hold as well."""
 
@@ -94,14 +97,37 @@ def upgrade(values: dict[str, Any]) -> dict[str, Any]:
         _add(values, ADDED)
     if saved < 3:
         _add(values, ADDED_LATER)
+    if saved < 4:
+        _rename_values(values)
     return values
 
 
 def rename_override(override: str) -> str:
-    """Return a command line's override with the setting's name of today."""
+    """Return a command line's override with the names of today, of the setting and of its values."""
     prefix = override[: len(override) - len(override.lstrip("+~"))]
     key, equals, value = override[len(prefix) :].partition("=")
-    return f"{prefix}{RENAMED.get(key, key)}{equals}{value}"
+    key = RENAMED.get(key, key)
+    if key in RENAMED_VALUES:
+        value = ",".join(RENAMED_VALUES[key].get(each.strip(), each) for each in value.split(","))
+    return f"{prefix}{key}{equals}{value}"
+
+
+def renaming(override: str) -> str | None:
+    """Return in words what of a command line's override has another name today; None if nothing has."""
+    today = rename_override(override)
+    if today == override:
+        return None
+    (old, _, was), (new, _, value) = (each.lstrip("+~").partition("=") for each in (override, today))
+    return f"{old} is called {new} now" if old != new else f"{old}={was} is called {new}={value} now"
+
+
+def _rename_values(values: dict[str, Any]) -> None:
+    """Bring values of formats 1 to 3 under today's names, in place."""
+    for key, names in RENAMED_VALUES.items():
+        *groups, name = key.split(".")
+        holder = _group(values, groups)
+        if isinstance(value := holder.get(name), str):
+            holder[name] = names.get(value, value)
 
 
 def _rename(values: dict[str, Any]) -> None:

@@ -37,21 +37,22 @@ def over_seeds(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return mean, least and greatest success over the seeds, for each combination of the other settings.
 
     Args:
-        records: As for `document`. Jobs without a result are counted in ``seeds`` and left out of ``finished``.
+        records: As for `document`. Jobs that failed are counted in ``seeds`` and left out of ``finished``; the mean is
+            that of the jobs that were evaluated, None if none was.
     """
-    groups: dict[tuple[tuple[str, str], ...], list[float | None]] = {}
+    groups: dict[tuple[tuple[str, str], ...], list[Mapping[str, Any]]] = {}
     for record in records:
         if SEED in record["settings"]:
             others = tuple((key, value) for key, value in record["settings"].items() if key != SEED)
-            groups.setdefault(others, []).append(record["success"])
+            groups.setdefault(others, []).append(record)
     found = []
-    for others, values in groups.items():
-        rates = [value for value in values if value is not None]
+    for others, members in groups.items():
+        rates = [each["success"] for each in members if each["success"] is not None]
         found.append(
             {
                 "settings": dict(others),
-                "seeds": len(values),
-                "finished": len(rates),
+                "seeds": len(members),
+                "finished": sum(each["status"] == "finished" for each in members),
                 "mean": statistics.fmean(rates) if rates else None,
                 "least": min(rates, default=None),
                 "greatest": max(rates, default=None),
@@ -73,7 +74,7 @@ def text(records: Sequence[Mapping[str, Any]]) -> str:
         made.add_row(
             str(record["number"]),
             *(record["settings"].get(key, "-") for key in keys),
-            record["status"] if record["success"] is None else f"{record['success']:.1%}",
+            _success(record["success"], record["status"] == "finished"),
             "-" if interval is None else f"{interval[0]:.1%} to {interval[1]:.1%}",
             "-" if record["steps"] is None else format_count(record["steps"]),
             record["run"] or "-",
@@ -87,7 +88,7 @@ def text(records: Sequence[Mapping[str, Any]]) -> str:
             made.add_row(
                 *(mean["settings"].get(key, "-") for key in others),
                 str(mean["seeds"]) if mean["seeds"] == mean["finished"] else f"{mean['finished']} of {mean['seeds']}",
-                "-" if mean["mean"] is None else f"{mean['mean']:.1%}",
+                _success(mean["mean"], mean["finished"] > 0),
                 "-" if mean["mean"] is None else f"{mean['least']:.1%} to {mean['greatest']:.1%}",
             )
         lines.append(rendered(made))
@@ -98,6 +99,12 @@ def best(records: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
     """Return the record with the highest success; None if no job has a result."""
     rated = [record for record in records if record["success"] is not None]
     return max(rated, key=lambda record: record["success"], default=None)
+
+
+def _success(rate: float | None, finished: bool) -> str:
+    if rate is None:
+        return "not evaluated" if finished else "failed"
+    return f"{rate:.1%}"
 
 
 def _interval(record: Mapping[str, Any]) -> tuple[float, float] | None:

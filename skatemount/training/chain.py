@@ -17,6 +17,7 @@ import yaml
 
 from skatemount import config as configuration
 from skatemount.config import TrainConfig
+from skatemount.config.files import choices
 from skatemount.curriculum.config import StageLink
 from skatemount.evaluation import report
 from skatemount.runs import atomic
@@ -127,8 +128,7 @@ class Chain:
         Raises:
             ConfigError: A setting that cannot be used in one of the stages.
         """
-        asked = [o for o in overrides if not _about_the_curriculum(o)]
-        stages = {name: configuration.compose(name, asked) for name in config.curriculum.stages}
+        stages = compose_stages(config, overrides)
         for i, (name, link) in enumerate(config.curriculum.stages.items(), 1):
             stages[name].stage.gate, stages[name].stage.renormalize = link.gate, link.renormalize
             stages[name].logger.name = f"{i}_{name}"
@@ -312,6 +312,41 @@ def chain_to_train(
             f"its newest checkpoint only: resume={run.parent.path}"
         )
     return Chain.resume(run.parent, config, list(overrides), callbacks)
+
+
+def compose_stages(config: TrainConfig, overrides: Sequence[str]) -> dict[str, TrainConfig]:
+    """Return the settings of every stage of a chain, by its name.
+
+    Args:
+        config: As composed from the command line.
+        overrides: The overrides of the command line; all but the curriculum's own apply to every stage.
+
+    Raises:
+        ConfigError: A setting that cannot be used in one of the stages.
+    """
+    asked = [o for o in overrides if not _about_the_curriculum(o)]
+    return {name: configuration.compose(name, asked) for name in config.curriculum.stages}
+
+
+def check_stages(config: TrainConfig, overrides: Sequence[str]) -> None:
+    """Check that the settings of a training name a stage, or a chain whose stages can be composed.
+
+    Args:
+        config: As composed from the command line.
+        overrides: The overrides of the command line.
+
+    Raises:
+        ConfigError: They do not, or a setting cannot be used in one of the stages.
+    """
+    if config.resume is not None:
+        return
+    if config.curriculum.kind == "stages":
+        compose_stages(config, overrides)
+    elif not config.stage.name:
+        known = ", ".join(choices("stage"))
+        raise ConfigError(
+            f"no stage: give stage=<name>, one of {known} (skatemount list stages describes them), or curriculum=paper"
+        )
 
 
 def _about_the_curriculum(override: str) -> bool:

@@ -73,7 +73,7 @@ def test_paper_experiment() -> None:
     assert config.network.actor == config.network.critic == [1024, 512, 256]
     assert (config.network.init_std, config.network.activation, config.network.normalize) == (1.0, "elu", False)
     robot = config.robot
-    assert (robot.variant, robot.kp, robot.kd, robot.torque_limit, robot.speed_limit) == ("isaac", 20, 0.5, 33.5, 21)
+    assert (robot.variant, robot.kp, robot.kd, robot.torque_limit, robot.speed_limit) == ("a1_isaac", 20, 0.5, 33.5, 21)
     assert (robot.action_scale_hip, robot.action_scale_thigh, robot.action_scale_calf) == (0.125, 0.25, 0.25)
     assert (robot.hip_inward, robot.thigh, robot.calf, robot.action_clip) == (0.2, 0.8, -1.5, 10)
     assert task.scene.robot.default_pose[:6] == pytest.approx([0.2, 0.8, -1.5, -0.2, 0.8, -1.5])

@@ -224,7 +224,7 @@ def test_a_plugins_robot_is_known_when_its_name_is_checked(module: Write) -> Non
     assert refused(f"plugins=[{name},{other}]") == (
         f"plugins=[{other}]: robot 'mine' is registered twice, by {name} and by {other}"
     )
-    assert ROBOTS["mine"] is ROBOTS["unitree"]
+    assert ROBOTS["mine"] is ROBOTS["a1"]
 
 
 def train(root: Path, *overrides: str) -> Path:

@@ -10,7 +10,7 @@ import pytest
 
 import skatemount
 from skatemount.config import compose, config_dir, from_dict, to_dict
-from skatemount.config.versions import ADDED, FORMAT, RENAMED, upgrade
+from skatemount.config.versions import ADDED, FORMAT, RENAMED, rename_override, renaming, upgrade
 from skatemount.runs.shipped import ALIASES, shipped_file
 from skatemount.utils.errors import ConfigError
 
@@ -85,6 +85,24 @@ def test_upgrading_changes_nothing_of_todays_format_and_leaves_its_input_alone()
     values = to_dict(compose("unfixed", ["curriculum=auto"]))
     again = upgrade(values)
     assert {"format": FORMAT, **again} == values and "format" in values
+
+
+@pytest.mark.parametrize("robot", ["a1", "a1_isaac", "go2"])
+def test_a_robot_has_the_name_of_its_file_and_keeps_its_old_one_in_what_was_saved(robot: str) -> None:
+    config = compose("balance", [f"robot={robot}"])
+    assert config.robot.variant == robot
+    old = {"a1": "unitree", "a1_isaac": "isaac"}.get(robot, robot)
+    values = to_dict(config) | {"format": 3}
+    values["robot"] = values["robot"] | {"variant": old}
+    assert from_dict(values) == config
+    assert compose("balance", [f"robot={robot}", f"robot.variant={old}"]) == config
+
+
+def test_a_command_line_may_have_old_names() -> None:
+    assert rename_override("++robot.variant=unitree,go2,isaac") == "++robot.variant=a1,go2,a1_isaac"
+    assert renaming("robot.variant=isaac") == "robot.variant=isaac is called robot.variant=a1_isaac now"
+    assert renaming("collector.steps=3") == "collector.steps is called collector.steps_per_env now"
+    assert renaming("robot.variant=a1") is None
 
 
 def test_settings_of_other_programs_are_dropped_and_policies_have_their_new_names() -> None:

@@ -11,7 +11,7 @@ from torch import Tensor
 from skatemount.envs.entities.quadruped import Quadruped
 from skatemount.envs.legs import Legs
 
-VARIANTS = ("unitree", "isaac")
+VARIANTS = ("a1", "a1_isaac")
 
 
 @functools.cache
@@ -19,12 +19,12 @@ def robot(variant: str) -> Quadruped:
     return Quadruped(config=defaults.robot(variant=variant))
 
 
-def legs(variant: str = "unitree") -> Legs:
+def legs(variant: str = "a1") -> Legs:
     return Legs(robot(variant).spec)
 
 
 def random_joints(n: int, seed: int = 0) -> Tensor:
-    low, high = torch.as_tensor(robot("unitree").joint_range, dtype=torch.float32).unbind(1)
+    low, high = torch.as_tensor(robot("a1").joint_range, dtype=torch.float32).unbind(1)
     return low + (high - low) * torch.rand(n, 12, generator=torch.Generator().manual_seed(seed))
 
 

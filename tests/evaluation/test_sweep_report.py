@@ -61,5 +61,15 @@ def test_tables_have_a_row_a_job_and_a_row_a_mean() -> None:
     assert len(text([record(1, {"seed": "0"}, 1)]).splitlines()) == 3  # one seed has no mean
 
 
+def test_jobs_that_were_not_evaluated_say_so() -> None:
+    jobs = [record(i, {"seed": str(i)}, 1) | {"success": None, "successes": None, "episodes": None} for i in (1, 2)]
+    lines = [line.split() for line in text(jobs).splitlines()]
+    assert lines[2] == ["1", "1", "not", "evaluated", "-", "1.0k", "run", "1"]
+    assert lines[-1] == ["2", "not", "evaluated", "-"]
+    assert text([*jobs, record(3, {"seed": "3"}, None)]).splitlines()[-1].split()[:3] == ["2", "of", "3"]
+    failed = [record(i, {"seed": str(i)}, None) for i in (1, 2)]
+    assert text(failed).splitlines()[-1].split() == ["0", "of", "2", "failed", "-"]
+
+
 def test_the_best_is_the_highest_success() -> None:
     assert best(RECORDS) == RECORDS[3] and best(RECORDS[2:3]) is None

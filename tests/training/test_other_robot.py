@@ -112,7 +112,7 @@ def test_it_is_trained_saved_evaluated_and_filmed(policy: Path) -> None:
     assert tuple(frame.legs) == ("lf", "rf", "lh", "rh")
     assert draw_overlay(Image.new("RGB", (320, 180)), frame).size == (320, 180)
     # The A1 takes twelve actions: the policy does not fit it.
-    asked.append("robot.variant=unitree")
+    asked.append("robot.variant=a1")
     (other,) = EvaluationTask.prepare(compose_program("evaluate", asked), asked)
     with pytest.raises(ConfigError, match="of its observation is"):
         other.evaluate(4)

@@ -14,8 +14,9 @@ class RobotConfig:
     """Settings of the robot.
 
     Attributes:
-        variant: The robot, a key of `skatemount.envs.robots.ROBOTS`: ``unitree`` (the published A1, 12.453 kg),
-            ``isaac`` (the A1 of the paper's code, 13.741 kg), ``go2`` (the Unitree Go2, 15.019 kg), or one of a plugin.
+        variant: The robot, a key of `skatemount.envs.robots.ROBOTS`: ``a1`` (the published A1, 12.453 kg),
+            ``a1_isaac`` (the A1 of the paper's code, 13.741 kg), ``go2`` (the Unitree Go2, 15.019 kg), or one of a
+            plugin.
         kp: Position gain of every joint, N m/rad.
         kd: Velocity gain of every joint, N m s/rad.
         torque_limit: Largest torque T of a motor, N m.

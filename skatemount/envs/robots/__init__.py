@@ -5,7 +5,7 @@ from skatemount.envs.robots.go2 import GO2
 from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.robots.spec import RobotSpec
 
-ROBOTS: dict[str, RobotSpec] = {"unitree": A1, "isaac": A1_ISAAC, "go2": GO2}
+ROBOTS: dict[str, RobotSpec] = {"a1": A1, "a1_isaac": A1_ISAAC, "go2": GO2}
 """Known robots by ``robot.variant``. Add one with ``ROBOTS[name] = spec``."""
 
 __all__ = ["A1", "A1_ISAAC", "GO2", "ROBOTS", "JointLayout", "RobotSpec"]

@@ -16,7 +16,7 @@ from skatemount.envs.entities.quadruped import KD_INDEX, KP_INDEX, Quadruped, sc
 from skatemount.envs.robots.a1 import LEGS, calf_inertial, leg_signs
 from skatemount.utils.errors import ConfigError
 
-VARIANTS = ("unitree", "isaac")
+VARIANTS = ("a1", "a1_isaac")
 TORQUE, SPEED = 33.5, 21.0
 
 
@@ -65,7 +65,7 @@ def actuator_force(entity, physics, target, q, v):
     return np.array(physics.bind(entity.actuators).force)
 
 
-@pytest.mark.parametrize(("variant", "mass"), [("unitree", 12.453), ("isaac", 13.741)])
+@pytest.mark.parametrize(("variant", "mass"), [("a1", 12.453), ("a1_isaac", 13.741)])
 def test_total_mass(variant, mass):
     entity = Quadruped(defaults.robot(variant=variant))
     physics = mjcf.Physics.from_mjcf_model(entity.mjcf_model)
@@ -302,14 +302,14 @@ def test_bad_settings_are_named(setting, value):
         Quadruped(config)
 
 
-@pytest.mark.parametrize(("name", "variant"), [("a1", "unitree"), ("a1_isaac", "isaac")])
-def test_yaml_has_every_setting(name, variant):
+@pytest.mark.parametrize("name", VARIANTS)
+def test_yaml_has_every_setting(name):
     folder = Path(__file__).parents[3] / "conf" / "robot"
     with initialize_config_dir(str(folder), version_base="1.3"):
         loaded = compose(name)
     values = OmegaConf.to_container(loaded)
     assert set(values) == {field.name for field in fields(RobotConfig)}
-    assert defaults.robot(**values) == defaults.robot(variant=variant)
+    assert defaults.robot(**values) == defaults.robot(variant=name)
 
 
 def test_compiles_under_mujoco_without_warnings(robot, capfd):
