@@ -7,6 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from skatemount.config.files import choices, robot_of
+from skatemount.config.versions import upgrade
 from skatemount.envs.task import MountTask
 from skatemount.runs.checkpoint import PolicyCard
 from skatemount.utils.errors import ConfigError
@@ -71,15 +73,15 @@ def check_interface(card: PolicyCard, task: MountTask, where: str = "checkpoint"
         where: Name of the policy in messages.
 
     Raises:
-        ConfigError: They differ; the message names the first difference.
+        ConfigError: They differ; the message names the robot if that is another one, or else the first difference.
     """
+    check_actions(card, task, where)
     theirs, ours = card.observation, observation_layout(task)
     for i in range(max(len(theirs), len(ours))):
         a = theirs[i] if i < len(theirs) else None
         b = ours[i] if i < len(ours) else None
         if a != b:
             raise ConfigError(f"{where}: part {i + 1} of its observation is {_words(a)}, the task gives {_words(b)}")
-    check_actions(card, task, where)
 
 
 def check_actions(card: PolicyCard, task: MountTask, where: str) -> None:
@@ -87,7 +89,47 @@ def check_actions(card: PolicyCard, task: MountTask, where: str) -> None:
     action = action_interface(task)
     for name, value in action.items():
         if card.action.get(name) != value:
-            raise ConfigError(f"{where}: its actions have {name}={card.action.get(name)}, the task's {value}")
+            problem = (
+                f"its actions have {name}={card.action.get(name)}, the task's {value}{_other_settings(card, task)}"
+            )
+            raise ConfigError(f"{where}: {_other_robot(card, task) or problem}")
+
+
+def _other_robot(card: PolicyCard, task: MountTask) -> str | None:
+    """Return that a policy was trained with another robot, and how to choose that one; None if it was not."""
+    theirs, ours = _saved(card).get("robot", {}).get("variant"), task.config.robot.variant
+    if theirs is None or theirs == ours:
+        return None
+    files = [name for name in choices("robot") if robot_of(name) == theirs]
+    choice = f"robot={theirs if theirs in files or not files else files[0]}" if files else f"robot.variant={theirs}"
+    return f"it was trained with another robot, {theirs}, than the task's {ours}; give {choice}"
+
+
+def _other_settings(card: PolicyCard, task: MountTask) -> str:
+    """Return how to give the settings behind the meaning of actions the values of a policy's training."""
+    saved = _saved(card)
+    found = []
+    for group, names in _BEHIND_ACTIONS.items():
+        for name in names:
+            value = saved.get(group, {}).get(name)
+            if value is not None and value != getattr(getattr(task.config, group), name):
+                found.append(f"{group}.{name}={value}")
+    return f"; give {' '.join(found)}" if found else ""
+
+
+_BEHIND_ACTIONS = {
+    "robot": (
+        *("hip_inward", "thigh", "calf"),
+        *("action_scale_hip", "action_scale_thigh", "action_scale_calf", "action_clip"),
+    ),
+    "physics": ("timestep", "substeps"),
+}
+"""Settings that `action_interface` follows from, by their group."""
+
+
+def _saved(card: PolicyCard) -> dict[str, Any]:
+    """Return the settings of a policy's training under today's names."""
+    return upgrade(card.config)
 
 
 def _words(entry: dict[str, Any] | None) -> str:

@@ -38,6 +38,10 @@ def load_pretrained(networks: Networks, agent: TrainedPolicy, task: MountTask, m
     Raises:
         ConfigError: It does not fit the networks or the task; the message names the difference.
     """
+    try:
+        check_actions(agent.card, task, where)
+    except ConfigError as error:
+        raise ConfigError(f"{error}, or another init_from") from error
     for name in ("kind", "params", "activation", "normalize", "symmetric"):
         _check_same(name, networks.config, agent.config.network, where, "")
     if may_expand:
@@ -46,7 +50,6 @@ def load_pretrained(networks: Networks, agent: TrainedPolicy, task: MountTask, m
                 f"{where}: init_from_expand=true needs network.kind=mlp, not {networks.config.kind}; use false"
             )
         agent.to(networks.deviation.high.device)
-        check_actions(agent.card, task, where)
         expand(networks, agent, observation_layout(task), where)
         return
     try:

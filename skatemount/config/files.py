@@ -126,6 +126,16 @@ def load_file(group: str, name: str) -> dict[str, Any]:
     return read_yaml(find_file(group, name))
 
 
+def robot_of(name: str) -> str | None:
+    """Return the ``robot.variant`` of a file of the group ``robot``; None if it does not say."""
+    try:
+        found = load_file("robot", name).get("variant")
+    except ConfigError:
+        # A file of the user's that is broken.
+        return None
+    return None if found is None else str(found)
+
+
 def stages() -> dict[str, str]:
     """Return every stage with its one-line description; for a file that cannot be read, with what is wrong."""
     return _described("stage", "stage.description")

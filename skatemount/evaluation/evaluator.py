@@ -156,6 +156,7 @@ class Evaluator:
         """Return the settings of the evaluation as plain values."""
         return {
             "task": self.env.mdp.definition.name,
+            "robot": self.config.robot.variant,
             "num_worlds": self.env.num_worlds,
             "episode_length": self.config.episode_length,
             "control_step": self.env.mdp.context.control_step,

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 
+from skatemount.config import compose
 from skatemount.envs.tasks.definition import TaskDefinition
 from skatemount.evaluation.intervals import wilson_interval
 from skatemount.evaluation.records import EpisodeRecords
@@ -44,11 +45,20 @@ class Evaluation:
 
     @property
     def title(self) -> str:
-        """Title for tables and figures: policy, suite and the suite's version, as far as they are known."""
+        """Title for tables and figures: policy, suite and the suite's version, as far as they are known.
+
+        Task and robot follow where they are not the defaults, nor the suite's own name.
+        """
         what = [str(self.evaluated[key]) for key in ("checkpoint", "suite") if key in self.evaluated]
         definition = self.evaluated.get("definition")
         version = f", version {definition['version']}" if definition else ""
-        return (" on ".join(what) or "evaluation") + version
+        usual = compose()
+        settings = {"task": usual.success, "robot": usual.robot.variant}
+        unusual = {
+            name: self.evaluated[name] for name in settings if self.evaluated.get(name) not in (None, settings[name])
+        }
+        more = [f"{name} {value}" for name, value in unusual.items() if value != self.evaluated.get("suite")]
+        return ", ".join([(" on ".join(what) or "evaluation") + version, *more])
 
     @property
     def episodes(self) -> int:

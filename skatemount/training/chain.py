@@ -165,8 +165,9 @@ class Chain:
         if list(values) != list(saved.curriculum.stages) or not all(isinstance(each, dict) for each in values.values()):
             raise ConfigError(f"{path}: must hold the settings of {', '.join(saved.curriculum.stages)}, in this order")
         stages = {name: configuration.from_dict(stage, own, where, training=True) for name, stage in values.items()}
-        for each in (saved, *stages.values()):
-            apply_resume_overrides(each, config, overrides)
+        apply_resume_overrides(saved, config, overrides)
+        for stage in stages.values():
+            apply_resume_overrides(stage, config, [o for o in overrides if not _about_the_curriculum(o)])
         return cls(run, saved, stages, overrides, callbacks)
 
     def budget(self, place: int) -> int:

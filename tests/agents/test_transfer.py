@@ -135,3 +135,23 @@ def test_growing_is_not_offered_where_it_would_not_help(small: TrainedPolicy, tm
 
 def test_the_observation_of_the_training_is_named(small: TrainedPolicy) -> None:
     assert transfer._observation_choice(small) == "observation=default"
+
+
+@pytest.mark.parametrize(
+    ("init_from", "given", "expected"),
+    [
+        ("go2-balance", [], "it was trained with another robot, go2, than the task's a1; give robot=go2,"),
+        ("balance", ["robot=go2"], "it was trained with another robot, a1, than the task's go2; give robot=a1,"),
+        ("balance", ["robot.hip_inward=0.1"], "; give robot.hip_inward=0.15, or another init_from"),
+        ("balance", ["observation=compact"], ": give observation=default, or another init_from"),
+    ],
+)
+def test_a_policy_says_with_which_robot_it_was_trained(
+    init_from: str, given: list[str], expected: str, tmp_path: Path
+) -> None:
+    overrides = [f"init_from=pretrained:{init_from}", *TINY[:1], *TINY[4:], f"logger.root={tmp_path}", *given]
+    with pytest.raises(ConfigError, match=f"^init_from=pretrained:{init_from}: ") as error:
+        Trainer(compose("balance", overrides))
+    assert expected in str(error.value) and str(error.value).endswith(", or another init_from")
+    assert ("observation=" in str(error.value)) == ("observation=compact" in given)
+    assert list(tmp_path.iterdir()) == []

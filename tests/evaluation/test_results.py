@@ -113,3 +113,12 @@ def test_next_commands_are_a_line_each_with_their_purpose() -> None:
         "film the first success: record episode=0",
     ]
     assert report.next_commands({}) == ""
+
+
+def test_the_title_says_what_is_unusual(make_records: Make) -> None:
+    def title(**evaluated: str) -> str:
+        return Evaluation(make_records(1), ENDS, MOUNT, evaluated=evaluated).title
+
+    assert title(checkpoint="best", suite="far", task="mount", robot="a1") == "best on far"
+    assert title(checkpoint="best", suite="gait", task="gait", robot="go2") == "best on gait, robot go2"
+    assert title(task="hold", robot="a1") == "evaluation, task hold"

@@ -267,6 +267,11 @@ def test_resume_refuses_what_cannot_change(trained: RunFolder, tmp_path: Path) -
         return message(lambda: train(compose(None, given), given))
 
     assert "seed=1 cannot be changed with resume" in resume("seed=1")
+    assert "robot=go2 cannot be changed" in resume("seed=3", "robot=go2")
+    assert "experiment=gpu cannot be changed" in resume("experiment=gpu")
+    # What the run has already is no change.
+    same_values = ["stage=balance", "task=mount", "robot=a1", "seed=3", "reward.mounted.weight=2"]
+    assert go_on(trained, *same_values, "network.actor=[16]").seed == 3
     assert "algorithm.clip_epsilon=0.1" in resume("total_frames=9999", "algorithm.clip_epsilon=0.1")
     assert f"{10 * BATCH} frames are already trained" in resume("torch_threads=1")  # nothing left to do
     policy = ["resume=pretrained:balance"]
