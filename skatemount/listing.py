@@ -7,14 +7,19 @@ import json
 import re
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import yaml
 
 from skatemount import config as configuration
 from skatemount.cli import config_dir_of
-from skatemount.config.files import choices, find_file
+from skatemount.config import TrainConfig
+from skatemount.config.files import choices, find_file, robot_of
+from skatemount.config.own_files import check_own_file, own_files
 from skatemount.config.plugins import import_plugins
 from skatemount.config.registries import ALGORITHMS, CALLBACKS, COMMANDS, CURRICULA, LOGGERS, NETWORKS
+from skatemount.envs.robots import ROBOTS
 from skatemount.runs.shipped import ALIASES, PRETRAINED, shipped_file, shipped_policies
 from skatemount.utils.classes import ClassRegistry
 from skatemount.utils.errors import ConfigError
@@ -24,17 +29,50 @@ from skatemount.utils.terminal import safe_streams
 
 
 def _of_group(group: str) -> dict[str, str]:
-    """Return a group's choices with the first sentence of each file's comment."""
+    """Return a group's choices with the first sentence of each file's comment, or with what is wrong with the file."""
+    return {name: _comment(find_file(group, name)) for name in choices(group)} | _broken(group)
+
+
+def _comment(path: Path) -> str:
+    """Return the first sentence of the comment at the top of a file."""
+    lines = []
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        if not line.startswith("#"):
+            break
+        if not line.startswith("# @package"):
+            lines.append(line.lstrip("# "))
+    return re.split(r"(?<=[.:])\s", " ".join(lines))[0].rstrip(".:")
+
+
+def _broken(group: str) -> dict[str, str]:
+    """Return the files of the user's in a group that cannot be used, each with the reason."""
     found = {}
-    for name in choices(group):
-        lines = []
-        for line in find_file(group, name).read_text(encoding="utf-8").splitlines():
-            if not line.startswith("#"):
-                break
-            if not line.startswith("# @package"):
-                lines.append(line.lstrip("# "))
-        found[name] = re.split(r"(?<=[.:])\s", " ".join(lines))[0].rstrip(".:")
+    for path in (path for its_group, path in own_files() if its_group == group):
+        try:
+            check_own_file(group, path)
+            configuration.compose_program("evaluate" if group == "suite" else "train", [f"{group}={path.stem}"])
+        except ConfigError as error:
+            found[path.stem] = f"broken: {error}"
     return found
+
+
+def _tasks() -> dict[str, str]:
+    """Return the files of the group, then the tasks of plugins that have no file."""
+    from skatemount.envs.tasks import TASKS
+
+    files = _of_group("task")
+    return files | {f"success={name}": TASKS.description(name) for name in TASKS.names() if name not in files}
+
+
+def _robots() -> dict[str, str]:
+    """Return the files of the group with the robots' masses, then the robots of plugins that have no file."""
+    files, broken = _of_group("robot"), _broken("robot")
+    variants = {name: robot_of(name) for name in files if name not in broken}
+    for name, variant in variants.items():
+        if variant in ROBOTS and " kg" not in files[name]:
+            files[name] = ", ".join(filter(None, [files[name], f"{ROBOTS[variant].mass:.3f} kg"]))
+    others = [name for name in ROBOTS if name not in variants.values()]
+    return files | {f"robot.variant={name}": f"{ROBOTS[name].mass:.3f} kg" for name in others}
 
 
 def _policies() -> dict[str, str]:
@@ -81,6 +119,28 @@ def _terminations() -> dict[str, str]:
     return {name: TERMINATIONS.description(name) for name in TERMINATIONS.names()}
 
 
+def _terms_of(kind: str, config: TrainConfig) -> dict[str, str]:
+    """Return the terms that settings use, with their settings.
+
+    Args:
+        kind: ``rewards``, ``observations`` or ``terminations``.
+        config: The settings.
+    """
+    if kind == "rewards":
+        return {name: f"weight {term.weight:g}{_params(term)}" for name, term in config.reward.items() if term.weight}
+    if kind == "terminations":
+        return {name: f"enabled{_params(term)}" for name, term in config.termination.items() if term.enabled}
+    policy, privileged = config.observation.policy, config.observation.privileged
+    return {name: f"for the policy{_params(term)}" for name, term in policy.items()} | {
+        name: f"for the policy and the critic{_params(term)}" if name in policy else f"for the critic{_params(term)}"
+        for name, term in privileged.items()
+    }
+
+
+def _params(term: Any) -> str:
+    return "".join(f", {name}={value}" for name, value in term.params.items())
+
+
 def _classes(registry: ClassRegistry, prefix: str = "") -> dict[str, str]:
     """Return the registered classes with the first line of each one's docstring.
 
@@ -97,10 +157,10 @@ def _group_and_classes(group: str, registry: ClassRegistry, setting: str = "kind
 
 
 KINDS: dict[str, tuple[str, Callable[[], dict[str, str]]]] = {
-    "stages": ("what to train: stage=<name>", configuration.stages),
-    "tasks": ("what an episode is about: task=<name>", lambda: _of_group("task")),
-    "suites": ("tests of MountBench: suite=<name>", configuration.suites),
-    "robots": ("robot=<name>", lambda: _of_group("robot")),
+    "stages": ("what to train: stage=<name>", lambda: configuration.stages() | _broken("stage")),
+    "tasks": ("what an episode is about: task=<name>", _tasks),
+    "suites": ("tests of MountBench: suite=<name>", lambda: configuration.suites() | _broken("suite")),
+    "robots": ("robot=<name>", _robots),
     "boards": ("board=<name>", lambda: _of_group("board")),
     "policies": ("shipped policies: checkpoint=<name>, init_from=<name>", _policies),
     "rewards": ("terms: reward.<name>.weight=<size>", _rewards),
@@ -129,18 +189,23 @@ KINDS: dict[str, tuple[str, Callable[[], dict[str, str]]]] = {
 """The kinds that can be listed: a line about each, and a function that returns its names with their descriptions."""
 
 
+WITH_SETTINGS = ("rewards", "observations", "terminations")
+"""The kinds that can be listed as a training with given settings uses them."""
+
+
 def listed(arguments: Sequence[str]) -> str:
     """Return the table that a command line asks for.
 
     Args:
         arguments: The kind, and in any order ``--config-dir <folder>`` and ``plugins=[...]``; without a kind the table
-            says what can be listed.
+            says what can be listed. With settings such as ``stage=balance``, rewards, observations and terminations
+            are those that a training with these settings uses.
 
     Raises:
-        ConfigError: An unknown kind or argument, or a folder or plugin that cannot be used.
+        ConfigError: An unknown kind, argument or setting, or a folder or plugin that cannot be used.
     """
     configuration.set_user_config_dir(config_dir_of(arguments))
-    kinds, plugins, is_value = [], [], False
+    kinds, plugins, settings, is_value = [], [], [], False
     for argument in arguments:
         if is_value:
             is_value = False
@@ -150,6 +215,8 @@ def listed(arguments: Sequence[str]) -> str:
             plugins = _plugins(argument)
         elif argument in KINDS:
             kinds.append(argument)
+        elif "=" in argument and not argument.startswith("-"):
+            settings.append(argument)
         elif not argument.startswith(("--config-dir=", "-cd=")) and argument not in ("--help", "-h"):
             close = difflib.get_close_matches(argument, KINDS, n=1)
             hint = f" (did you mean {close[0]}?)" if close else ""
@@ -157,7 +224,12 @@ def listed(arguments: Sequence[str]) -> str:
     import_plugins(plugins)
     if not kinds:
         return "skatemount list <kind>\n\n" + _table({name: about for name, (about, _) in KINDS.items()})
-    return "\n\n".join(_table(KINDS[kind][1]()) for kind in kinds)
+    if not settings:
+        return "\n\n".join(_table(KINDS[kind][1]()) for kind in kinds)
+    if others := [kind for kind in kinds if kind not in WITH_SETTINGS]:
+        raise ConfigError(f"{settings[0]}: {others[0]} do not depend on settings, only {', '.join(WITH_SETTINGS)} do")
+    config = configuration.compose(None, [*(each for each in arguments if each.startswith("plugins=")), *settings])
+    return "\n\n".join(_table(_terms_of(kind, config)) for kind in kinds)
 
 
 def _plugins(argument: str) -> list[str]:

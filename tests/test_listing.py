@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -14,10 +15,26 @@ from skatemount import __main__ as command
 from skatemount import listing
 from skatemount.config import set_user_config_dir, stages
 from skatemount.config.files import choices
+from skatemount.config.registries import registries
 from skatemount.envs.rewards import REWARDS
+from skatemount.envs.robots import ROBOTS
 from skatemount.listing import KINDS, listed
 from skatemount.runs.shipped import shipped_policies
 from skatemount.utils.errors import ConfigError
+
+PLUGIN = """
+from dataclasses import replace
+from skatemount.envs.rewards import reward
+from skatemount.envs.robots import A1, ROBOTS
+from skatemount.envs.tasks import TASKS
+
+@reward
+def hop(sim, episode, context):
+    'Reward hops.'
+
+ROBOTS["twin"] = A1
+TASKS.register(replace(TASKS.get("mount"), name="hops", description="hop about"))
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -50,6 +67,42 @@ def test_a_table_has_every_name() -> None:
     assert "feet that press on the deck" in rows("rewards")["feet_on_board"]
 
 
+def test_robots_have_their_mass() -> None:
+    found = rows("robots")
+    assert list(found) == ["a1", "a1_isaac", "go2"]
+    assert [re.findall(r"\d+\.\d+ kg", about) for about in found.values()] == [
+        [f"{ROBOTS[name].mass:.3f} kg"] for name in found
+    ]
+
+
+def test_terms_of_a_stage_are_those_that_it_uses() -> None:
+    assert rows("rewards", "stage=balance")["mounted"] == "weight 2"
+    gait = rows("stage=gait", "rewards")
+    assert gait["track_lin_vel"] == "weight 3" and "mounted" not in gait
+    assert "out_of_reach" not in rows("terminations", "stage=gait") and "tilt" in rows("terminations", "stage=gait")
+    seen = rows("observations", "stage=hold")
+    assert seen["outline"] == "for the policy, points=16" and seen["heights"] == "for the critic"
+
+
+def test_broken_files_say_why(tmp_path: Path) -> None:
+    files = {
+        "stage/a.yaml": "stage: [",
+        "stage/b.yaml": "# @package _global_\n# A stage.\nstage: {name: b, descripton: x}\n",
+        "board/c.yaml": "# A board.\nmass: heavy\n",
+        "suite/d.yaml": "name: d\nverson: 1\nstage: balance\n",
+        "task/e.yaml": "# @package _global_\n# A task.\nsuccess: nothing\n",
+        "robot/f.yaml": "# A robot.\ndefaults: [a1, _self_]\nvariant: lost\n",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    for name in files:
+        group, stem = Path(name).parent.name, Path(name).stem
+        about = rows(f"{group}s", "--config-dir", str(tmp_path))[stem]
+        assert about.startswith(f"broken: {tmp_path / name}, line "), about
+    assert rows("stages", "--config-dir", str(tmp_path))["balance"] == stages()["balance"]
+
+
 def test_without_a_kind_the_kinds_are_listed() -> None:
     text = listed([])
     assert all(f"\n{kind} " in text for kind in KINDS)
@@ -62,16 +115,16 @@ def test_ones_own_files_and_terms_are_listed(tmp_path: Path, monkeypatch: pytest
     assert rows("boards", "--config-dir", str(tmp_path / "conf"))["wide"] == "A wide board"
     assert rows(f"--config-dir={tmp_path / 'conf'}", "boards")["wide"] == "A wide board"
     assert "wide" not in rows("boards")
-    (tmp_path / "listed_terms.py").write_text(
-        "from skatemount.envs.rewards import reward\n@reward\ndef hop(sim, episode, context):\n    '''Reward hops.'''",
-        encoding="utf-8",
-    )
+    (tmp_path / "listed_terms.py").write_text(PLUGIN, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
-    before = REWARDS.snapshot()
+    saved = [(each, each.snapshot()) for each in registries()]
     try:
         assert rows("rewards", "plugins=[listed_terms]")["hop"] == "Reward hops."
+        assert rows("tasks", "plugins=[listed_terms]")["success=hops"] == "hop about"
+        assert rows("robots", "plugins=[listed_terms]")["robot.variant=twin"] == "12.453 kg"
     finally:
-        REWARDS.restore(before)
+        for registry, before in saved:
+            registry.restore(before)
         del sys.modules["listed_terms"]
 
 
@@ -79,6 +132,8 @@ def test_ones_own_files_and_terms_are_listed(tmp_path: Path, monkeypatch: pytest
     ("arguments", "expected"),
     [
         (["stage"], "stage cannot be listed (did you mean stages?); there are: stages, tasks, suites,"),
+        (["robots", "stage=balance"], "stage=balance: robots do not depend on settings, only rewards, observations,"),
+        (["rewards", "stage=balence"], "stage=balence: there is no stage balence (did you mean balance?)"),
         (["rewards", "plugins=terms"], "plugins=terms must be a list such as [a, b]"),
         (["rewards", "plugins=[no_such]"], "plugins=[no_such]: there is no module no_such"),
         (["stages", "--config-dir", "nowhere"], "--config-dir nowhere: there is no such folder"),

@@ -239,6 +239,11 @@ class RobotSpec:
         """All links of the legs, in the order of the joints."""
         return tuple(link for leg in self.legs for link in leg.links)
 
+    @property
+    def mass(self) -> float:
+        """Mass of the whole robot, kg."""
+        return self.trunk_inertial.mass + sum(link.inertial.mass for link in self.links)
+
     def stance_range(self, index: int) -> tuple[float, float]:
         """Return the limits of a default angle that all legs share.
 
