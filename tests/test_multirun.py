@@ -230,7 +230,7 @@ def test_latest_means_the_same_policy_in_all_jobs(command: Callable[..., Any], r
     (sweep,) = (p for p in sweeps(runs_root))
     assert json.loads((sweep / "sweep.json").read_text())["pinned"] == {"latest": str(before)}
     status, _, err = command(verb, "-m", "stage=balance", "init_from=latest,null", "logger.root=none")
-    assert status == 2 and "init_from=latest: no run in none has a checkpoint yet" in err
+    assert status == 2 and "init_from=latest: no run in none has a checkpoint; there are: pretrained:anywhere" in err
     assert list(Path("none").glob("*/*")) == []
 
 

@@ -69,3 +69,22 @@ def test_it_is_a_program_of_skatemount(
     monkeypatch.setattr(sys, "argv", ["skatemount", "robot-spec", str(file), "--settings"])
     program()
     assert capsys.readouterr().out.startswith("# The robot go2, 15.019 kg.\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "expected"),
+    [
+        ("some.py", "import this\n", "must be a URDF or an MJCF, which are XML (syntax error: line 1, column 0)"),
+        ("some.urdf", "<html/>", "must be a URDF or an MJCF, an XML file of <robot> or <mujoco>, not of <html>"),
+        ("some.stl", "\x80\x81", "must be a URDF or an MJCF, which are XML ("),
+    ],
+)
+def test_a_file_of_another_kind_is_one_line(
+    name: str, text: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / name).write_text(text, encoding="latin-1")
+    with pytest.raises(SystemExit) as ended:
+        main([str(tmp_path / name)])
+    err = capsys.readouterr().err
+    assert ended.value.code == 2 and err.startswith(f"skatemount.robot-spec: {tmp_path / name}: {expected}")
+    assert err.count("\n") == 1

@@ -158,7 +158,8 @@ def no_choice(group: str, name: str) -> str:
     # A part of a name means it more often than a name that looks alike.
     close = [each for each in known if name and name in each.split("-")] or difflib.get_close_matches(name, known, n=2)
     hint = f" (did you mean {' or '.join(close)}?)" if close else ""
-    return f"there is no {group} {name}{hint}; there are: {', '.join(known)}"
+    own = "" if close or _user_dir is not None else f"; a {group} of your own needs --config-dir <folder>"
+    return f"there is no {group} {name}{hint}; there are: {', '.join(known)}{own}"
 
 
 def _described(group: str, key: str) -> dict[str, str]:

@@ -10,14 +10,13 @@ from __future__ import annotations
 import importlib
 import re
 import sys
-import traceback
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from skatemount.config.registries import POLICY_CLASSES, TRAINING_CLASSES, adopt, class_names, registries
 from skatemount.envs.config.task import TaskConfig
 from skatemount.utils.classes import module_of
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.errors import ConfigError, place_of
 
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*")
 
@@ -139,7 +138,6 @@ def _reason(name: str, error: BaseException) -> str:
         return text
     if isinstance(error, ModuleNotFoundError) and error.name and f"{name}.".startswith(f"{error.name}."):
         return f"there is no module {error.name}; install it, or put its folder on PYTHONPATH"
-    place = ""
-    if frames := traceback.extract_tb(error.__traceback__):
-        place = f" ({frames[-1].filename}, line {frames[-1].lineno})"
-    return f"cannot be imported: {type(error).__name__}: {text}{place}"
+    if isinstance(error, SyntaxError):
+        text = error.msg
+    return f"cannot be imported: {type(error).__name__}: {text}{place_of(error)}"

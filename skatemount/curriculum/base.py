@@ -12,7 +12,7 @@ from skatemount.curriculum.config import CURRICULA, CurriculumConfig
 from skatemount.envs.mdp import StepResult
 from skatemount.envs.starts import StartPoses
 from skatemount.envs.state import EpisodeState
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.classes import made
 
 
 class Curriculum(Protocol):
@@ -73,11 +73,6 @@ def make_curriculum(
     if config.kind in ("none", "stages"):
         return None
     cls = CURRICULA.find(config.kind, "curriculum.kind")
-    try:
-        with device or torch.device("cpu"):
-            made: Curriculum = cls(config, deck_height)
-    except (TypeError, ValueError, KeyError) as error:
-        if isinstance(error, ConfigError):
-            raise
-        raise ConfigError(f"curriculum.kind={config.kind} cannot be made: {error!r}") from error
-    return made
+    with device or torch.device("cpu"):
+        curriculum: Curriculum = made(cls, f"curriculum.kind={config.kind}", config, deck_height)
+    return curriculum

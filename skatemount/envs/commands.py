@@ -10,6 +10,7 @@ from torch import Tensor
 from skatemount.envs.config.commands import COMMANDS, MODES, CommandConfig
 from skatemount.envs.sampling import uniform
 from skatemount.envs.state import EpisodeState, SimState
+from skatemount.utils.classes import made
 
 
 def toward_board(sim: SimState, direction: Tensor | None = None) -> Tensor:
@@ -53,7 +54,8 @@ class CommandGenerator:
         self._generator = generator
         self._bounds = torch.tensor([config.forward, config.left, config.turn], device=generator.device)
         own = None if config.mode in MODES else COMMANDS.find(config.mode, "command.mode")
-        self._own = None if own is None else own(config, control_step, generator)
+        where = f"command.mode={config.mode}"
+        self._own = None if own is None else made(own, where, config, control_step, generator)
 
     def update(self, sim: SimState, episode: EpisodeState) -> None:
         """Set the command of every world for the next step, in place.

@@ -187,8 +187,8 @@ class Registry:
         where = f"{table or self.kind}.{name}"
         if name not in self._functions:
             close = difflib.get_close_matches(name, self._functions, n=3)
-            hint = f"; did you mean {' or '.join(close)}?" if close else ""
-            raise ConfigError(f"{where} is not a known {self.kind}{hint} (skatemount list {self.kind}s has all)")
+            hint = f"did you mean {' or '.join(close)}?" if close else "one of your own needs plugins=[<module>]"
+            raise ConfigError(f"{where} is not a known {self.kind}; {hint} (skatemount list {self.kind}s has all)")
         function = self._functions[name]
         types = _parameter_types(f"{where} of {function.__module__}", function)
         known = list(types)

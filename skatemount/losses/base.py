@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 
 from skatemount.losses.config import ALGORITHMS, AlgorithmConfig
 from skatemount.models.base import Networks
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.classes import made
 
 
 class Algorithm(abc.ABC):
@@ -87,10 +87,8 @@ def make_algorithm(
         ConfigError: There is no such class, or it cannot be made with these settings.
     """
     cls = ALGORITHMS.find(config.kind, "algorithm.kind")
-    try:
-        made: Algorithm = cls(config, networks, control_step, bf16=bf16, generator=generator, **config.params)
-    except (TypeError, ValueError) as error:
-        if isinstance(error, ConfigError):
-            raise
-        raise ConfigError(f"algorithm.kind={config.kind} cannot be made: {' '.join(str(error).split())}") from error
-    return made
+    where = f"algorithm.kind={config.kind}"
+    algorithm: Algorithm = made(
+        cls, where, config, networks, control_step, bf16=bf16, generator=generator, **config.params
+    )
+    return algorithm

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from skatemount.models.config import NETWORKS, NetworkConfig
 from skatemount.models.symmetry import Reflection
+from skatemount.utils.classes import made
 from skatemount.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -145,12 +146,7 @@ def make_networks(
     """
     cls = NETWORKS.find(config.kind, "network.kind")
     where = f"network.kind={config.kind}"
-    try:
-        made: Networks = cls(config, observation, privileged, actions, reflections, **config.params)
-    except (TypeError, ValueError) as error:
-        if isinstance(error, ConfigError):
-            raise
-        raise ConfigError(f"{where} cannot be made: {' '.join(str(error).split())}") from error
-    if missing := [name for name in ("actor", "critic") if not isinstance(getattr(made, name, None), nn.Module)]:
+    networks: Networks = made(cls, where, config, observation, privileged, actions, reflections, **config.params)
+    if missing := [name for name in ("actor", "critic") if not isinstance(getattr(networks, name, None), nn.Module)]:
         raise ConfigError(f"{where}: {cls.__name__} of {cls.__module__} must set {' and '.join(missing)}")
-    return made
+    return networks

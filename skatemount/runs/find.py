@@ -39,7 +39,7 @@ def find_checkpoint(spec: str, root: Path | str = Path("runs"), setting: str = "
         run = _newest_run(root)
         if run is None:
             raise ConfigError(
-                f"{setting}={spec}: no run in {root} has a checkpoint yet"
+                f"{setting}={spec}: no run in {root} has a checkpoint"
                 + (f"; there are: {_choices(policies)}" if policies else "; train one first")
             )
         return _of_run(run, spec, f"{setting}={spec}")
@@ -87,8 +87,9 @@ def _of_run(run: Path, which: str, where: str) -> Path:
     if found is not None:
         return found
     others = [p.relative_to(run).as_posix() for p in list_checkpoints(run / "checkpoints")]
-    what = "no best checkpoint" if which == "best" else "no checkpoint"
-    raise ConfigError(f"{where}: run {run} has {what} yet; it has: {_choices(others)}")
+    if not others:
+        raise ConfigError(f"{where}: no checkpoint was saved in run {run}")
+    raise ConfigError(f"{where}: run {run} has no best checkpoint, as it was not evaluated; it has: {_choices(others)}")
 
 
 def _newest_run(root: Path) -> Path | None:

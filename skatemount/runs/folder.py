@@ -10,11 +10,13 @@ of the last part that has one. The runs of a sweep lie one level deeper, see `sk
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import itertools
 import json
 import math
 import re
+import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -31,6 +33,10 @@ from skatemount.runs.provenance import environment_report, git_report
 from skatemount.runs.sweep import JOB_FILE, is_sweep
 from skatemount.utils.documents import read_yaml
 from skatemount.utils.errors import ConfigError
+
+_AT_START = {"config.yaml", "overrides.yaml", "git.diff", "environment.txt", "parent.json", "stages.yaml",
+             "stages.json", JOB_FILE, ".lock"}  # fmt: skip
+"""Files that a run has before anything is trained."""
 
 POINTERS = ("latest", "best")
 PARENT_FILE = "parent.json"
@@ -213,6 +219,20 @@ class RunFolder:
             atomic.write_text(self.path / "best", f"{target}\nscore {float(score)!r}\n")
         self._mark_run()
 
+    def remove_unused(self) -> bool:
+        """Remove the folder if it has no more than what a training writes when it starts; return whether it did.
+
+        Only for who made the folder, and holds its lock.
+        """
+        with contextlib.suppress(OSError):
+            for path in self.path.rglob("*"):
+                if path.is_file() and path.name not in _AT_START and not _is_empty_log(path):
+                    return False
+            shutil.rmtree(self.path)
+            # Folders of a run's group stay if another run is in them.
+            self.path.parent.rmdir()
+        return not self.path.exists()
+
     def note_parent(self, parent: Mapping[str, Any]) -> None:
         """Write which policy this run started from to `parent.json`.
 
@@ -253,6 +273,12 @@ class RunFolder:
         folder = self.path / name
         folder.mkdir(exist_ok=True)
         return folder
+
+
+def _is_empty_log(path: Path) -> bool:
+    """Return whether a file is one that loggers open before there is anything to log."""
+    # An event file of TensorBoard begins with a record of its version.
+    return path.stat().st_size == 0 or path.name.startswith("events.out.tfevents.") and path.stat().st_size < 1000
 
 
 def is_run(path: Path) -> bool:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol
 
 from skatemount.runs.metrics import MetricsFile
-from skatemount.utils.classes import ClassRegistry
+from skatemount.utils.classes import ClassRegistry, made
 from skatemount.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -107,15 +108,19 @@ def open_loggers(
         ConfigError: A logger cannot be opened, such as TensorBoard where it is not installed.
     """
     names = [*(["tensorboard"] if tensorboard else []), *(["jsonl"] if file else [])]
-    loggers: list[Logger] = [LOGGERS.find(name, f"logger.{name}")(run, frames or None) for name in names]
-    for name in others:
-        cls = LOGGERS.find(name, "logger.loggers")
-        try:
-            loggers.append(cls(run, frames or None))
-        except (TypeError, ValueError) as error:
-            if isinstance(error, ConfigError):
-                raise
-            raise ConfigError(f"logger.loggers={name} cannot be opened: {' '.join(str(error).split())}") from error
+    with contextlib.ExitStack() as opened:
+        loggers: list[Logger] = []
+
+        def keep(logger: Logger) -> None:
+            loggers.append(logger)
+            opened.callback(logger.close)
+
+        for name in names:
+            keep(LOGGERS.find(name, f"logger.{name}")(run, frames or None))
+        for name in others:
+            cls = LOGGERS.find(name, "logger.loggers")
+            keep(made(cls, f"logger.loggers={name}", run, frames or None))
+        opened.pop_all()
     return loggers
 
 

@@ -11,6 +11,7 @@ from tensordict import TensorDictBase
 from skatemount.config.registries import CALLBACKS, HOOKS
 from skatemount.runs.loggers import Logger, as_numbers, open_loggers
 from skatemount.training.plots import plot_learning_curves
+from skatemount.utils.classes import made
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_count
 
@@ -169,16 +170,13 @@ def make_callbacks(names: Sequence[str]) -> list[Callback]:
     Raises:
         ConfigError: There is no such class, it overrides no method of `Callback`, or it cannot be made.
     """
-    made: list[Callback] = []
+    found: list[Callback] = []
     for name in names:
         where, cls = f"callbacks={name}", CALLBACKS.find(name, "callbacks")
         if all(getattr(cls, hook) is getattr(Callback, hook) for hook in HOOKS):
             raise ConfigError(f"{where}: {cls.__name__} does nothing; override one of {', '.join(HOOKS)}")
-        try:
-            made.append(cls())
-        except (TypeError, ValueError) as error:
-            raise ConfigError(f"{where} cannot be made without arguments: {' '.join(str(error).split())}") from error
-    return made
+        found.append(made(cls, where))
+    return found
 
 
 def arrange_callbacks(callbacks: Iterable[Callback] = ()) -> list[Callback]:

@@ -205,12 +205,17 @@ class Chain:
                 f"total_frames={self.config.total_frames}: all stages of {self.run.path} have ended; raise "
                 "total_frames to train the last one further"
             )
-        with self.run.lock(), ending_by_signals():
-            try:
-                for place in left:
-                    self._train(place)
-            finally:
-                self.report()
+        try:
+            with self.run.lock(), ending_by_signals():
+                try:
+                    for place in left:
+                        self._train(place)
+                finally:
+                    self.report()
+        except BaseException:
+            if self.run.latest is None and len(left) == len(self.parts):
+                self.run.remove_unused()
+            raise
 
     def _train(self, place: int) -> None:
         part, total = self.parts[place], len(self.parts)

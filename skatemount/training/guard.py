@@ -29,7 +29,7 @@ class UpdateGuard:
             update: Learns from a batch, and returns metrics; raises `FloatingPointError` for what is not finite.
             undo: Restores what the update may have changed.
             frames: Environment steps so far, for messages.
-            last: The last good checkpoint, for messages.
+            last: The last good checkpoint, for messages; "" if nothing was saved.
 
         Returns:
             The metrics, with ``Train/undone_updates``.
@@ -46,9 +46,9 @@ class UpdateGuard:
             self.undone += 1
             self.in_a_row += 1
             if self.in_a_row >= MOST_IN_A_ROW:
+                saved = f"the last good checkpoint is {last}" if last else "no checkpoint was saved before"
                 raise FloatingPointError(
-                    f"{error}; {self.in_a_row} updates in a row were undone for such a reason; the last good "
-                    f"checkpoint is {last}"
+                    f"{error}; {self.in_a_row} updates in a row were undone for such a reason; {saved}"
                 ) from error
             print(f"warning: the update after {frames:,} steps is undone: {error}", file=sys.stderr, flush=True)
         return metrics | {"Train/undone_updates": float(self.undone)}

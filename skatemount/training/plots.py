@@ -69,7 +69,7 @@ def plot_learning_curves(
         layout: The robot's layout, for the limits of these panels.
 
     Raises:
-        ConfigError: The file is missing, holds something else, or has no rows yet.
+        ConfigError: The file is missing, holds something else, or has no rows.
     """
     # The object interface: no global figure list, no display, safe beside a user's own plots.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -79,7 +79,7 @@ def plot_learning_curves(
     table = read_metrics(metrics_path)
     frames = table[STEP]
     if not len(frames):
-        raise ConfigError(f"{metrics_path}: has no rows to plot yet")
+        raise ConfigError(f"{metrics_path}: has no rows to plot")
     panels = [*_FIRST, *(_panel_of(metric, layout) for metric in metrics), *_LAST]
     columns = math.ceil(len(panels) / 2)
     figure = Figure(figsize=(4 * columns, 6.4), dpi=110, layout="constrained")
@@ -102,7 +102,7 @@ def plot_learning_curves(
         if limits:
             axis.set_ylim(*limits)
         if not any(drawn):
-            axis.text(0.5, 0.5, "no data yet", transform=axis.transAxes, ha="center", color="grey")
+            axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", color="grey")
         elif sum(drawn) > 1:
             axis.legend(fontsize=8, loc="best", framealpha=0.6)
     for axis in axes[1]:
@@ -129,7 +129,7 @@ def plot_chain(runs: Sequence[tuple[str, Path]], png_path: Path, title: str = ""
         title: The picture's title.
 
     Raises:
-        ConfigError: No file has rows yet.
+        ConfigError: No file has rows.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -138,7 +138,7 @@ def plot_chain(runs: Sequence[tuple[str, Path]], png_path: Path, title: str = ""
     tables = [(name, read_metrics(path)) for name, path in runs if path.is_file()]
     tables = [(name, table) for name, table in tables if len(table[STEP])]
     if not tables:
-        raise ConfigError(f"{png_path}: no metrics to plot yet")
+        raise ConfigError(f"{png_path}: there are no metrics to plot")
     figure = Figure(figsize=(9, 6.4), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     if title:

@@ -249,7 +249,11 @@ class Trainer:
                 episodes = self.config.logger.final_episodes
                 return self.evaluate(episodes, self.display.show_final_evaluation) if episodes else None
             except Ended as end:
-                raise Ended(end.signum, what_is_left(self.run, self.saved_frames)) from None
+                left = "nothing was trained" if self._removed_run() else what_is_left(self.run, self.saved_frames)
+                raise Ended(end.signum, left) from None
+            except Exception:
+                self._removed_run()
+                raise
             finally:
                 self.display.close()
 
@@ -270,7 +274,8 @@ class Trainer:
             # An error in code of one's own must not cost what was trained. If saving fails, the first error counts.
             with suppress(Exception):
                 self._save_complete_iterations()
-                print(what_is_left(self.run, self.saved_frames), file=sys.stderr, flush=True)
+                if self.saved_frames:
+                    print(what_is_left(self.run, self.saved_frames), file=sys.stderr, flush=True)
             raise
         finally:
             self._call("on_train_end")
@@ -281,6 +286,10 @@ class Trainer:
             load_parts(self.parts, self._before["parts"], "the state before this iteration")
             self._load_worlds(self._before["worlds"])
         self._call("on_interrupt")
+
+    def _removed_run(self) -> bool:
+        """Remove the folder of a new run in which nothing was trained; return whether it did."""
+        return self.config.resume is None and not self.saved_frames and self.run.remove_unused()
 
     def _call(self, hook: str, *arguments: Any) -> None:
         for callback in self.callbacks:
@@ -360,7 +369,7 @@ class Trainer:
             weights = {name: part for name, part in self.parts.items() if name in ("networks", "ppo")}
             load_parts(weights, self._before["parts"], "the state before this iteration")
 
-        last = str(self.run.latest or "none yet")
+        last = str(self.run.latest or "")
         return self._guard.update(lambda: self.algorithm.update(batch), undo, self.frames, last)
 
     def evaluate(self, episodes: int, progress: Callable[[int, int], None] | None = None) -> Evaluation:

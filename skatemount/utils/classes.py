@@ -16,7 +16,7 @@ import types
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.errors import ConfigError, place_of
 
 _CLASS = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 C = TypeVar("C", bound=type)
@@ -203,6 +203,32 @@ class ClassRegistry:
             raise ConfigError(
                 f"{where}: {cls.__name__} of {cls.__module__} lacks {', '.join(missing)}; see {self._base}"
             )
+
+
+def made(cls: Callable[..., Any], where: str, *arguments: Any, **named: Any) -> Any:
+    """Return an object of a class that settings name.
+
+    Args:
+        cls: The class.
+        where: The setting with its value, for messages.
+        *arguments: Arguments of the constructor.
+        **named: Further ones.
+
+    Raises:
+        ConfigError: The constructor of one's own class raises an error; the message names the class and the line.
+    """
+    try:
+        return cls(*arguments, **named)
+    except (ConfigError, OSError):
+        raise
+    except Exception as error:
+        own = not cls.__module__.startswith("skatemount.")
+        if not own and not isinstance(error, TypeError | ValueError):
+            raise
+        said = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise ConfigError(
+            f"{where}: {cls.__name__} of {cls.__module__} cannot be made: {said}{place_of(error, skip=1)}"
+        ) from error
 
 
 def module_of(name: str) -> str:

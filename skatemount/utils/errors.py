@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import traceback
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +14,19 @@ class ConfigError(ValueError):
 
     The message is one line. It names the setting, its value, and the values that are allowed.
     """
+
+
+def place_of(error: BaseException, skip: int = 0) -> str:
+    """Return where an error came from as text behind a message, such as `` (mine.py, line 3)``; "" if unknown.
+
+    Args:
+        error: An error that was raised.
+        skip: Number of frames, from the outermost, that are not worth naming.
+    """
+    if isinstance(error, SyntaxError) and error.filename is not None:
+        return f" ({error.filename}, line {error.lineno})"
+    frames = traceback.extract_tb(error.__traceback__)[skip:]
+    return f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
 
 
 def brief(value: Any) -> str:

@@ -117,10 +117,10 @@ def test_without_plugins_there_are_none() -> None:
             f"@observation(1, None)\ndef up{TERM}, at: 'Missing' = 1): ...",
             "observation up of NAME: name 'Missing' is not",
         ),
-        ("1 / 0", "cannot be imported: ZeroDivisionError: division by zero (FILE, line 10)"),
+        ("1 / 0", "cannot be imported: ZeroDivisionError: division by zero (FILE, line 9)"),
         ("raise SystemExit(3)", "cannot be imported: SystemExit: 3"),
         ("import no_such_thing", "cannot be imported: ModuleNotFoundError: No module named 'no_such_thing'"),
-        ("def broken(:", "cannot be imported: SyntaxError: "),
+        ("def broken(:", "cannot be imported: SyntaxError: invalid syntax (FILE, line 9)"),
     ],
 )
 def test_a_wrong_plugin_is_one_line_and_registers_nothing(code: str, expected: str, plugin: Write) -> None:
@@ -130,7 +130,7 @@ def test_a_wrong_plugin_is_one_line_and_registers_nothing(code: str, expected: s
             compose("balance", [f"plugins=[{name}]"])
         text = str(error.value)
         assert text.startswith(f"plugins=[{name}]: ") and "\n" not in text
-        assert expected.replace("NAME", name).split("FILE")[0] in text
+        assert all(part in text for part in expected.replace("NAME", name).split("FILE"))
         assert "first" not in REWARDS.names() and name not in sys.modules
 
 

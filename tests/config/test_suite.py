@@ -92,7 +92,8 @@ def test_a_program_composes_the_suite_that_is_read_from_its_file() -> None:
 
 def test_an_unknown_suite_is_answered_with_those_there_are() -> None:
     with pytest.raises(
-        ConfigError, match=r"suite=walk: there is no suite walk; there are: all, approach-fixed, .*, rolling$"
+        ConfigError,
+        match=r"suite=walk: there is no suite walk; there are: all, approach-fixed, .*, rolling; a suite of your own ",
     ):
         check_choice("suite", "walk")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,20 @@ from tiny import BATCH, SILENT, TINY
 
 from skatemount.config import compose
 from skatemount.runs.checkpoint import load_training_state
+from skatemount.runs.folder import RunFolder
 from skatemount.runs.metrics import read_metrics
 from skatemount.training import callbacks as module
-from skatemount.training.callbacks import Callback, EvaluationCallback, LoggerCallback, arrange_callbacks
+from skatemount.training.callbacks import (
+    Callback,
+    EvaluationCallback,
+    LoggerCallback,
+    arrange_callbacks,
+    make_callbacks,
+)
 from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
+from skatemount.utils.errors import ConfigError
+from skatemount.utils.signals import Ended
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
@@ -154,3 +164,62 @@ def test_a_subclass_of_a_default_callback_takes_its_place() -> None:
     assert names() == defaults
     assert names(Recorder(), Mine()) == [defaults[0], "Mine", "Recorder", *defaults[2:]]
     assert all(issubclass(getattr(module, name), Callback) for name in defaults)
+
+
+class Refuses(Callback):
+    """Ends a training at a given hook with a given error."""
+
+    def __init__(self, hook: str, error: BaseException) -> None:
+        setattr(self, hook, self.refuse)
+        self.error = error
+
+    def refuse(self, *arguments: Any) -> None:
+        raise self.error
+
+
+@pytest.mark.parametrize("hook", ["on_train_start", "on_batch_collected"])
+@pytest.mark.parametrize("error", [ConfigError("no"), RuntimeError("no"), Ended(signal.SIGINT)], ids=repr)
+def test_a_training_that_fails_before_anything_is_trained_leaves_no_folder(
+    hook: str, error: BaseException, tmp_path: Path
+) -> None:
+    root = tmp_path / "runs"
+    with pytest.raises(type(error)) as raised:
+        train(trainer_with(root, Refuses(hook, error), overrides=[]))
+    assert list(root.iterdir()) == []
+    assert not isinstance(error, Ended) or str(raised.value) == "ended by SIGINT; nothing was trained"
+
+
+def test_a_training_that_fails_later_keeps_its_folder(tmp_path: Path) -> None:
+    class Late(Callback):
+        def on_iteration_end(self, trainer: Trainer, metrics: dict[str, float]) -> None:
+            if trainer.iteration == 2:
+                raise RuntimeError("late")
+
+    with pytest.raises(RuntimeError):
+        train(trainer_with(tmp_path, Late(), overrides=["logger.checkpoint_every=1"]))
+    (run,) = tmp_path.glob("*/*")
+    assert RunFolder(run).latest is not None
+
+
+class Odd(Callback):
+    """Needs what nobody gives."""
+
+    def __init__(self) -> None:
+        {}["nothing"]
+
+    def on_train_start(self, trainer: Trainer) -> None: ...
+
+
+def test_a_callback_that_cannot_be_made_is_named() -> None:
+    with pytest.raises(ConfigError) as error:
+        make_callbacks([f"{__name__}:Odd"])
+    where = f"callbacks={__name__}:Odd: Odd of {__name__} cannot be made: "
+    assert str(error.value).startswith(f"{where}KeyError: 'nothing' ({__file__}, line ")
+    with pytest.raises(ConfigError, match=r"Needy of .* cannot be made: TypeError: .* missing 1 required"):
+        make_callbacks([f"{__name__}:Needy"])
+
+
+class Needy(Odd):
+    """Needs an argument."""
+
+    def __init__(self, given: int) -> None: ...

@@ -67,7 +67,9 @@ class RobotConfig:
         """
         if self.variant not in ROBOTS:
             known = ", ".join(ROBOTS)
-            raise ConfigError(f"{where}.variant={self.variant} must be one of {known}")
+            raise ConfigError(
+                f"{where}.variant={self.variant} must be one of {known}; one of your own needs plugins=[<module>]"
+            )
         check_bounds(self, where)
         if not any((self.action_scale_hip, self.action_scale_thigh, self.action_scale_calf)):
             raise ConfigError(

@@ -57,6 +57,12 @@ def read_robot(path: Path | str, name: str | None = None, foot_radius: float | N
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such file")
     try:
+        root = ET.parse(path).getroot().tag
+    except (ET.ParseError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: must be a URDF or an MJCF, which are XML ({error})") from error
+    if root not in ("robot", "mujoco"):
+        raise ConfigError(f"{path}: must be a URDF or an MJCF, an XML file of <robot> or <mujoco>, not of <{root}>")
+    try:
         model = _compile(path, notes)
     except (ValueError, mujoco.FatalError) as error:
         raise ConfigError(f"{path}: {' '.join(str(error).split())}") from error

@@ -43,7 +43,8 @@ class TaskRegistry:
         if name not in self._tasks:
             close = difflib.get_close_matches(name, self._tasks, n=1)
             hint = f" (did you mean {close[0]}?)" if close else ""
-            raise ConfigError(f"{where}={name} is not a known task{hint}; known: {', '.join(self.names())}")
+            own = "" if close else "; one of your own needs plugins=[<module>]"
+            raise ConfigError(f"{where}={name} is not a known task{hint}; known: {', '.join(self.names())}{own}")
         return self._tasks[name]
 
     def names(self) -> list[str]:
