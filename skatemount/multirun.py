@@ -115,8 +115,8 @@ def _check_ahead(program: str, settings: Sequence[str]) -> None:
     everywhere = len(failed) == total and len({str(error) for _, error in failed}) == 1
     if everywhere or os.environ.get("SKATEMOUNT_TRACEBACK"):
         raise failed[0][1]
-    for told, error in failed:
-        print(f"skatemount.{program}: {told}: {error}", file=sys.stderr)
+    for told, each in failed:
+        print(f"skatemount.{program}: {told}: {each}", file=sys.stderr)
     print(f"skatemount.{program}: nothing was started", file=sys.stderr)
     sys.exit(2)
 

@@ -136,7 +136,7 @@ MAY_BE_NULL = {"start.distance", "start.step_height", "randomization.push_interv
 CHOICES: list[tuple[str, Any, str]] = [
     ("success", "win", "gait, hold, mount"),
     ("precision", "low", "highest, medium, bf16"),
-    ("robot.variant", "b1", "unitree, isaac"),
+    ("robot.variant", "b1", "a1, a1_isaac"),
     ("physics.engine", "warm", "cpu, warp"),
     ("physics.solver", "Gauss", "Newton, CG, PGS"),
     ("physics.cone", "round", "pyramidal, elliptic"),

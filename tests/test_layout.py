@@ -52,7 +52,6 @@ TESTED_IN = {
     "runs/serialization.py": "runs/test_checkpoint.py",
     "runs/shipped.py": "config/test_versions.py",
     "train.py": "test_train_command.py",
-    "training/commands.py": "training/test_trainer.py",
     "training/resume.py": "training/test_trainer.py",
     "training/score.py": "test_multirun.py",
     "training/setup.py": "training/test_trainer.py",

@@ -63,7 +63,8 @@ def git_report(package: Path = _PACKAGE) -> str:
     state = f"unknown, git: {failed}" if failed else "changed" if status else "clean"
     # Without a commit there is nothing to compare with.
     missing = f"# no difference, git: {reason}\n" if commit and reason else ""
-    return f"# commit {commit.strip() or 'none: the repository has no commit'}\n# status {state}\n{listing}{missing}{difference}"
+    commit = commit.strip() or "none: the repository has no commit"
+    return f"# commit {commit}\n# status {state}\n{listing}{missing}{difference}"
 
 
 def _git(folder: Path, *arguments: str) -> tuple[str, str]:

@@ -73,7 +73,7 @@ def test_the_shipped_settings_are_valid(group: str, make_settings: Callable[...,
             "board.deck_color=[0.0, 2.0, 0.0] must be a list of numbers, each from 0",
         ),
         ("robot", "kp", -1.0, "robot.kp=-1.0 must be above 0"),
-        ("robot", "variant", "b1", "robot.variant=b1 must be one of unitree, isaac"),
+        ("robot", "variant", "b1", "robot.variant=b1 must be one of a1, a1_isaac"),
     ],
 )
 def test_a_bad_setting_is_one_line_that_names_it(
