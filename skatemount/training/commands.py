@@ -44,7 +44,7 @@ def what_is_left(run: RunFolder, frames: int) -> str:
         frames: Environment steps at its last checkpoint.
     """
     if run.latest is None:
-        return f"nothing was trained in {run.path}"
+        return f"nothing was trained in {run.path}" if run.path.exists() else "nothing was trained"
     modules = modules_of(run.config)
     words = ["python", "-m", "skatemount.train", f"resume={run.path}", *([written(modules)] if modules else [])]
     return f"{frames:,} steps are saved in {run.latest}; go on with: {shlex.join(words)}"

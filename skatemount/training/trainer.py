@@ -125,9 +125,8 @@ class Trainer:
         self.callbacks = arrange_callbacks([*callbacks, *make_callbacks(config.callbacks)])
         self.frames = self.iteration = self.saved_frames = 0
         self.elapsed = 0.0
-        self._stopped = False
+        self._stopped = self._collect_normalizer_stats = False
         self._evaluator: Evaluator | None = None
-        self._collect_normalizer_stats = False
         # The state before the present iteration; none between iterations.
         self._before: dict[str, Any] | None = None
         self._guard = UpdateGuard()
@@ -240,8 +239,7 @@ class Trainer:
             KeyboardInterrupt: A signal ended the training; all complete iterations are in a checkpoint. It is
                 `skatemount.utils.signals.Ended`, and says where they are.
         """
-        if self.frames >= self.config.total_frames:
-            total = self.config.total_frames
+        if self.frames >= (total := self.config.total_frames):
             raise ConfigError(f"total_frames={total}: {self.frames} frames are already trained; raise it above that")
         with ending_by_signals():
             try:
@@ -249,11 +247,7 @@ class Trainer:
                 episodes = self.config.logger.final_episodes
                 return self.evaluate(episodes, self.display.show_final_evaluation) if episodes else None
             except Ended as end:
-                left = "nothing was trained" if self._removed_run() else what_is_left(self.run, self.saved_frames)
-                raise Ended(end.signum, left) from None
-            except Exception:
-                self._removed_run()
-                raise
+                raise Ended(end.signum, what_is_left(self.run, self.saved_frames)) from None
             finally:
                 self.display.close()
 
@@ -279,6 +273,8 @@ class Trainer:
             raise
         finally:
             self._call("on_train_end")
+            if self.config.resume is None and not self.frames:
+                self.run.remove_unused()
 
     def _save_complete_iterations(self) -> None:
         if self._before is not None:
@@ -286,10 +282,6 @@ class Trainer:
             load_parts(self.parts, self._before["parts"], "the state before this iteration")
             self._load_worlds(self._before["worlds"])
         self._call("on_interrupt")
-
-    def _removed_run(self) -> bool:
-        """Remove the folder of a new run in which nothing was trained; return whether it did."""
-        return self.config.resume is None and not self.saved_frames and self.run.remove_unused()
 
     def _call(self, hook: str, *arguments: Any) -> None:
         for callback in self.callbacks:
@@ -369,8 +361,7 @@ class Trainer:
             weights = {name: part for name, part in self.parts.items() if name in ("networks", "ppo")}
             load_parts(weights, self._before["parts"], "the state before this iteration")
 
-        last = str(self.run.latest or "")
-        return self._guard.update(lambda: self.algorithm.update(batch), undo, self.frames, last)
+        return self._guard.update(lambda: self.algorithm.update(batch), undo, self.frames, str(self.run.latest or ""))
 
     def evaluate(self, episodes: int, progress: Callable[[int, int], None] | None = None) -> Evaluation:
         """Evaluate the policy in the training's task, with deterministic actions and seeds that training never uses.
