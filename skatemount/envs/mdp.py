@@ -22,6 +22,7 @@ from skatemount.envs.rewards import RewardTable
 from skatemount.envs.scene import Scene
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.tasks import TASKS
+from skatemount.envs.tasks.trial import try_task
 from skatemount.envs.terminations import TerminationTable
 from skatemount.envs.terms import TaskContext
 
@@ -68,7 +69,7 @@ class Mdp:
             time limit is the only one.
 
     Raises:
-        ConfigError: A setting of a term cannot be used.
+        ConfigError: A setting of a term cannot be used, or a function of the task fails.
     """
 
     def __init__(self, config: TaskConfig, scene: Scene, generator: torch.Generator):
@@ -92,6 +93,7 @@ class Mdp:
         # The time constant of `EpisodeState.soft_success` is 0.35 s.
         self._soft_success_decay = math.exp(-self.context.control_step / 0.35)
         self.definition = TASKS.get(config.success)
+        try_task(self.definition, self.context, self.observation.size, self.device)
         self.max_mounted_time = math.inf
         self._noise = generator if tables.noise else None
         self._action_clip = robot.config.action_clip

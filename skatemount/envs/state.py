@@ -85,6 +85,36 @@ class SimState:
     ground_height: Tensor
     board_fixed: Tensor
 
+    @classmethod
+    def at_rest(cls, num_worlds: int, layout: JointLayout, device: torch.device | None = None) -> SimState:
+        """Create states without motion or contact, all frames in the world's origin and along its axes.
+
+        Args:
+            num_worlds: Number of worlds, N.
+            layout: Numbers of joints, feet and bodies.
+            device: Device of the tensors.
+
+        Returns:
+            ``[N]`` states.
+        """
+        n, joints, feet = num_worlds, layout.num_joints, layout.num_feet
+        f, axes = partial(torch.zeros, n, device=device), torch.eye(3, device=device)
+        vectors = ("base_pos", "base_lin_vel", "base_ang_vel", "board_pos", "board_lin_vel", "board_ang_vel")
+        of_feet = ("foot_pos", "foot_vel", "foot_pos_base", "foot_pos_board", "foot_vel_board")
+        return cls(
+            **{name: f(3) for name in (*vectors, "board_pos_base")},
+            **{name: axes.repeat(n, 1, 1) for name in ("base_rot", "board_rot", "board_rot_base")},
+            **{name: f(joints) for name in ("joint_pos", "joint_vel", "joint_acc", "joint_torque")},
+            **{name: f(feet, 3) for name in (*of_feet, "foot_deck_force", "foot_other_force")},
+            gravity=-axes[2].repeat(n, 1),
+            body_force=f(layout.num_bodies),
+            truck_angle=f(2),
+            wheel_speed=f(4),
+            ground_height=f(),
+            board_fixed=f(dtype=torch.bool),
+            batch_size=[n],
+        )
+
 
 class StateReader:
     """A converter from an engine's sensor array to a `SimState`.

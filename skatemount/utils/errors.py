@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+import sysconfig
 import traceback
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 
@@ -33,6 +35,18 @@ def brief(value: Any) -> str:
     """Return a value as text for a message; the middle of a long one is left out."""
     text = "null" if value is None else str(value)
     return text if len(text) <= 200 else f"{text[:120]} … {text[-40:]}"
+
+
+_NOT_OF_THE_USER = (str(Path(__file__).parents[1]), *map(sysconfig.get_path, ("stdlib", "purelib", "platlib")))
+"""Folders of code that a user did not write."""
+
+
+def reason(error: BaseException) -> str:
+    """Return in one line what went wrong in code of a user's: type, message and place of an error."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if not frame.filename.startswith((*_NOT_OF_THE_USER, "<"))] or frames
+    place = f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""
+    return f"{type(error).__name__}: {brief(' '.join(str(error).split()))}{place}"
 
 
 _NOT_IN_A_NAME = re.compile(r"[/\\:\x00-\x1f\x7f]")

@@ -162,8 +162,8 @@ def test_a_training_shows_its_metric(tmp_path: Path) -> None:
         ),
         (
             {"metrics": (Metric("pose", "pose", "pose", lambda sim, *_: sim.base_pos),), "score": {}},
-            "task 'be_low', metric 'pose' returned float32 of shape [4, 3]; it must return one value a world of shape "
-            "[4]",
+            "task 'be_low', metric 'pose' returned float32 of shape [5, 3]; it must return one value a world of shape "
+            "[5]",
         ),
     ],
 )

@@ -169,6 +169,9 @@ class TaskDefinition:
             if metric.name in known:
                 raise ConfigError(f"{where}: two metrics have the name {metric.name!r}")
             known.append(metric.name)
+        for name, weight in self.score.items():
+            if isinstance(weight, bool) or not isinstance(weight, int | float) or not math.isfinite(weight):
+                raise ConfigError(f"{where}: score of {name}={weight!r} must be a finite number")
         for what, names in (("score", self.score), ("overview", self.overview), ("progress", self.progress)):
             for name in names:
                 _check_choice(f"{where}: {what}", name, known, "metric of it")
@@ -184,11 +187,7 @@ class TaskDefinition:
         Raises:
             ConfigError: The criterion returned something else.
         """
-        value = self.success(sim, episode, context)
-        if not isinstance(value, Tensor) or value.dtype != torch.bool or value.shape != episode.step.shape:
-            expected = f"bool of shape {list(episode.step.shape)}"
-            raise ConfigError(f"task {self.name!r}: success returned {described(value)}; it must return {expected}")
-        return value
+        return checked_flags(self.success(sim, episode, context), f"task {self.name!r}: success", episode)
 
     def score_of(self, metrics: Mapping[str, float]) -> float | None:
         """Return the score of a checkpoint, by which the best one is chosen; None if it was not evaluated.
@@ -209,6 +208,23 @@ class TaskDefinition:
         """Return the metrics with these names, in the order of the names."""
         by_name = {metric.name: metric for metric in self.metrics}
         return [by_name[name] for name in names]
+
+
+def checked_flags(value: Any, where: str, episode: EpisodeState) -> Tensor:
+    """Return what a criterion returned, if it can be used.
+
+    Args:
+        value: The value.
+        where: Task and criterion, for messages.
+        episode: The episodes.
+
+    Raises:
+        ConfigError: It is no ``[N]`` tensor of bool.
+    """
+    if isinstance(value, Tensor) and value.dtype == torch.bool and value.shape == episode.step.shape:
+        return value
+    expected = f"bool of shape {list(episode.step.shape)}"
+    raise ConfigError(f"{where} returned {described(value)}; it must return {expected}")
 
 
 def checked_value(value: Any, metric: Metric, task: str, episode: EpisodeState) -> Tensor:
