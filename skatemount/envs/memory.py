@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
+from tensordict import is_tensor_collection
 from torch import Tensor
 
 from skatemount.envs.state import EpisodeState, SimState
@@ -38,6 +39,8 @@ class TermWithMemory:
       each control step, and a term of an observation also at the start of an episode.
     - ``state_dict()`` returns the memory, tensors by name whose first dimension is the worlds.
     - ``load_state_dict(state)`` restores it.
+
+    Each tensor must be an attribute of its own. One in a list or dict is an error, because it would not be saved.
     """
 
     def state_dict(self) -> dict[str, Tensor]:
@@ -82,6 +85,16 @@ def check_class(where: str, kind: type) -> None:
             raise ConfigError(f"{where}: its method is {name}({', '.join(taken)}); it must be {written}")
 
 
+def _hides_tensors(value: Any) -> bool:
+    """Return whether a value is a list, dict or other collection that holds tensors, however deep."""
+    if isinstance(value, Tensor | str | bytes):
+        return False
+    if is_tensor_collection(value):
+        return True
+    inner = value.values() if isinstance(value, Mapping) else value if isinstance(value, Collection) else ()
+    return any(isinstance(each, Tensor) or _hides_tensors(each) for each in inner)
+
+
 class BoundMemoryTerm:
     """A class of a term with its parameters set, and its object for the worlds of one environment.
 
@@ -96,11 +109,17 @@ class BoundMemoryTerm:
         self.keeps_value = False
         self._kind, self._params = kind, params
         self._term: Any = None
+        self._num_worlds = 0
         self._value: Tensor | None = None
 
     def allocate(self, context: TaskContext, num_worlds: int) -> None:
-        """Make the memory for worlds whose episodes begin; an earlier one is dropped."""
-        self._term, self._value = self._kind(context, num_worlds, **self._params), None
+        """Make the memory for worlds whose episodes begin; an earlier one is dropped.
+
+        Raises:
+            ConfigError: The memory cannot be saved; see `state_dict`.
+        """
+        self._term, self._num_worlds, self._value = self._kind(context, num_worlds, **self._params), num_worlds, None
+        self.state_dict()
 
     def next_step(self) -> None:
         """Forget the value of the last step, so that the next call computes a new one."""
@@ -134,23 +153,42 @@ class BoundMemoryTerm:
             rows: ``[K]`` int64, the worlds.
 
         Raises:
-            ConfigError: The first dimension of a tensor in the memory is not the worlds.
+            ConfigError: The memory cannot be saved; see `state_dict`.
         """
         some = self._kind(context, len(rows), **self._params)
         self._value = some(sim, episode, context)
-        memory = self._term.state_dict()
-        for name, value in some.state_dict().items():
-            if value.dim() == 0 or len(value) != len(rows):
-                raise ConfigError(
-                    f"{self.where}: {name!r} of its state_dict has shape {list(value.shape)} for {len(rows)} worlds; "
-                    "its first dimension must be the worlds"
-                )
+        memory = self.state_dict()
+        for name, value in self._memory_of(some, len(rows)).items():
             memory[name][rows] = value
         self._term.load_state_dict(memory)
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Return the memory, tensors by name."""
-        return dict(self._term.state_dict())
+        """Return the memory, tensors by name.
+
+        Raises:
+            ConfigError: The first dimension of a tensor is not the worlds; or a list or another attribute of a
+                `TermWithMemory` holds tensors, which would be lost.
+        """
+        return self._memory_of(self._term, self._num_worlds)
+
+    def _memory_of(self, term: Any, num_worlds: int) -> dict[str, Tensor]:
+        if getattr(type(term), "state_dict", None) is TermWithMemory.state_dict:
+            for name, value in vars(term).items():
+                if _hides_tensors(value):
+                    raise ConfigError(
+                        f"{self.where}: its attribute {name} is a {type(value).__name__} that holds tensors, which a "
+                        "saved training would not have; make each a tensor of its own, or write state_dict and "
+                        "load_state_dict"
+                    )
+        memory = dict(term.state_dict())
+        for name, value in memory.items():
+            if not isinstance(value, Tensor) or value.dim() == 0 or len(value) != num_worlds:
+                found = f"shape {list(value.shape)}" if isinstance(value, Tensor) else f"type {type(value).__name__}"
+                raise ConfigError(
+                    f"{self.where}: {name!r} of its state_dict has {found} for {num_worlds} worlds; it must be a "
+                    "tensor whose first dimension is the worlds"
+                )
+        return memory
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Restore a memory that `state_dict` returned.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -252,25 +253,90 @@ def test_a_wrong_result_of_a_class_is_one_line(value: Tensor) -> None:
         made.bind("hop", {})(SimpleNamespace(base_pos=torch.ones(2)), None, SimpleNamespace(layout=None))
 
 
-def test_a_memory_whose_first_dimension_is_not_the_worlds_is_one_line(make_env: Make) -> None:
-    before = OBSERVATIONS.snapshot()
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (
+            lambda n: torch.zeros(7),
+            "'kept' of its state_dict has shape [7] for 2 worlds; it must be a tensor whose first",
+        ),
+        (lambda n: torch.tensor(0.0), "'kept' of its state_dict has shape [] for 2 worlds"),
+        (lambda n: [torch.zeros(n)], "its attribute kept is a list that holds tensors, which a saved training would"),
+        (lambda n: {"last": (torch.zeros(n),)}, "its attribute kept is a dict that holds tensors"),
+        (lambda n: deque([torch.zeros(n)], 2), "its attribute kept is a deque that holds tensors"),
+        (lambda n: TensorDict({"last": torch.zeros(n)}, [n]), "its attribute kept is a TensorDict that holds tensors"),
+    ],
+)
+@pytest.mark.parametrize("table", ["observation.privileged", "reward"])
+def test_a_memory_that_cannot_be_saved_is_one_line(
+    table: str, made: Callable[[int], Any], said: str, make_env: Make
+) -> None:
+    registry, register = (REWARDS, reward) if table == "reward" else (OBSERVATIONS, observation(1, None))
+    before = registry.snapshot()
 
-    @observation(1, None)
+    @register
     class Seen(Counter):
         def __init__(self, context: TaskContext, num_worlds: int):
-            self.count = torch.zeros(7)
+            self.kept = made(num_worlds)
 
         def __call__(self, sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
             return sim.base_pos[:, :1]
 
     try:
-        env = make_env("balance", 2, ["observation.privileged.seen={}"])
-        with pytest.raises(
-            ConfigError, match=r"^observation\.privileged\.seen: 'count' of its state_dict has shape \[7\]"
-        ):
-            env.reset()
+        with pytest.raises(ConfigError) as error:
+            make_env("balance", 2, [f"{table}.seen={'{weight: 1.0}' if table == 'reward' else '{}'}"])
     finally:
-        OBSERVATIONS.restore(before)
+        registry.restore(before)
+    assert str(error.value).startswith(f"{table}.seen: {said}") and "\n" not in str(error.value)
+
+
+def test_a_memory_that_becomes_one_that_cannot_be_saved_is_found_when_it_is_saved(make_env: Make) -> None:
+    before = REWARDS.snapshot()
+
+    @reward
+    class Last(Counter):
+        def __init__(self, context: TaskContext, num_worlds: int):
+            super().__init__(context, num_worlds)
+            self.seen: list[Tensor] = []
+
+        def __call__(self, sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
+            self.seen.append(sim.base_pos[:, 2])
+            return self.seen[0]
+
+    try:
+        env = make_env("balance", 2, ["reward.last.weight=1"])
+        env.reset()
+        env.world_state()
+        still(env)
+        with pytest.raises(ConfigError, match=r"^reward\.last: its attribute seen is a list that holds tensors"):
+            env.world_state()
+    finally:
+        REWARDS.restore(before)
+
+
+def test_a_class_with_its_own_state_may_keep_tensors_in_a_list(make_env: Make) -> None:
+    before = REWARDS.snapshot()
+
+    @reward
+    class Pair(Counter):
+        def __init__(self, context: TaskContext, num_worlds: int):
+            self.both = [torch.zeros(num_worlds), torch.ones(num_worlds)]
+
+        def reset(self, rows: Tensor) -> None:
+            self.both[0].index_fill_(0, rows, 0.0)
+
+        def __call__(self, sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
+            return self.both[0]
+
+        def state_dict(self) -> dict[str, Tensor]:
+            return {str(i): each for i, each in enumerate(self.both)}
+
+    try:
+        env = make_env("balance", 2, ["reward.pair.weight=1"])
+        env.reset()
+        assert env.mdp.memory.state_dict()["reward.pair"]["1"].tolist() == [1.0, 1.0]
+    finally:
+        REWARDS.restore(before)
 
 
 def test_parameters_are_typed_and_names_are_in_lower_case() -> None:
