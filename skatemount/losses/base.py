@@ -9,8 +9,10 @@ import torch
 from tensordict import TensorDictBase
 
 from skatemount.losses.config import ALGORITHMS, AlgorithmConfig
-from skatemount.models.base import Networks
+from skatemount.models.base import Networks, is_own
+from skatemount.models.trial import STEPS, WORLDS, example_batch, unchanged
 from skatemount.utils.classes import made
+from skatemount.utils.errors import ConfigError, reason
 
 
 class Algorithm(abc.ABC):
@@ -62,6 +64,19 @@ class Algorithm(abc.ABC):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
 
+    def try_out(self, batch: TensorDictBase) -> None:  # noqa: B027  # optional
+        """Compute what `update` computes from a batch, and change nothing, to find mistakes before anything is trained.
+
+        Called once if the algorithm or the networks are a user's; weights and torch's random state are restored after
+        it.
+
+        Args:
+            batch: ``[N, T]`` of random observations.
+
+        Raises:
+            ConfigError: Something that `update` needs is missing.
+        """
+
     def step_schedules(self, frames: int, total_frames: int) -> None:  # noqa: B027  # optional
         """Set what depends on the time; called after each update, and when a run resumes.
 
@@ -84,11 +99,21 @@ def make_algorithm(
     """Make the algorithm that the settings name; the arguments are those of `Algorithm`.
 
     Raises:
-        ConfigError: There is no such class, or it cannot be made with these settings.
+        ConfigError: There is no such class, it cannot be made with these settings, or it cannot learn.
     """
     cls = ALGORITHMS.find(config.kind, "algorithm.kind")
     where = f"algorithm.kind={config.kind}"
     algorithm: Algorithm = made(
         cls, where, config, networks, control_step, bf16=bf16, generator=generator, **config.params
     )
+    named = {f"network.kind={networks.config.kind}": networks, where: algorithm}
+    if own := [setting for setting, each in named.items() if is_own(each)]:
+        try:
+            with unchanged(networks):
+                algorithm.try_out(example_batch(networks))
+        except ConfigError:
+            raise
+        except Exception as error:
+            tried = f"{WORLDS} worlds and {STEPS} steps"
+            raise ConfigError(f"{', '.join(own)}: learning failed when tried with {tried}: {reason(error)}") from error
     return algorithm

@@ -75,6 +75,11 @@ class PPO(Algorithm):
         if ConcurrentCritic.supports(actor, critic) and not config.compile:
             critic = self._concurrent = ConcurrentCritic(critic, self._computing)
         self.loss = self.make_loss(actor, critic)
+        if not isinstance(self.loss, LossModule):
+            raise ConfigError(
+                f"algorithm.kind={config.kind}: make_loss of {self._title} returned {type(self.loss).__name__}; it "
+                "must return a torchrl.objectives.LossModule"
+            )
         gamma, lmbda = math.exp(-control_step / config.discount_horizon), math.exp(-control_step / config.gae_horizon)
         self._gae = GAE(gamma=gamma, lmbda=lmbda, value_network=None)
         learned = {name: p for name, p in networks.named_parameters() if p.requires_grad}
@@ -167,15 +172,7 @@ class PPO(Algorithm):
     def _update(self, batch: TensorDictBase) -> dict[str, float]:
         self._check_finite(batch)
         self.networks.observe(batch)
-        inputs = self.networks.prepare(batch)
-        with self._computing():
-            self._fill_values(batch, inputs)
-        self._gae(batch)
-        advantage = batch["advantage"]
-        batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        rows = inputs.update(batch.select(*self.loss_keys))
-        # Rows are single steps; or worlds, with all steps of each.
-        flat = rows if self.networks.recurrent else rows.flatten(0, 1)
+        flat = self._inputs(batch)
         # A few thousand states estimate the KL as well as the whole batch.
         sample = flat.select(*self._actor.in_keys)[:: max(1, flat.numel() // KL_STATES)]
         with torch.no_grad(), self._computing():
@@ -211,6 +208,45 @@ class PPO(Algorithm):
             "Loss/learning_rate": self.learning_rate,
             "Policy/mean_std": float(scale.mean()),
         }
+
+    def _inputs(self, batch: TensorDictBase) -> TensorDictBase:
+        """Return the inputs of learners and loss, with values, advantages and targets.
+
+        Args:
+            batch: ``[N, T]``; gets the values and the advantages.
+
+        Returns:
+            Rows, which are single steps; or worlds, with all steps of each.
+        """
+        inputs = self.networks.prepare(batch)
+        with self._computing():
+            self._fill_values(batch, inputs)
+        self._gae(batch)
+        advantage = batch["advantage"]
+        batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        rows = inputs.update(batch.select(*self.loss_keys))
+        return rows if self.networks.recurrent else rows.flatten(0, 1)
+
+    @property
+    def _title(self) -> str:
+        return f"{type(self).__name__} of {type(self).__module__}"
+
+    def try_out(self, batch: TensorDictBase) -> None:
+        """Compute the loss of a batch, and change nothing; see `Algorithm.try_out`."""
+        if self.config.compile:
+            # Compiling takes a minute, and again for batches of another size.
+            return
+        buffers = {name: value.clone() for name, value in self.loss.named_buffers()}
+        rows = self._inputs(batch)
+        with self._computing():
+            _moments(self._actor.get_dist(rows.select(*self._actor.in_keys)))
+            losses = self.loss(rows)
+        where = f"algorithm.kind={self.config.kind}: the loss of {self._title}"
+        if missing := [name for name in ("loss_objective", "loss_critic") if name not in losses.keys()]:
+            raise ConfigError(f"{where} gives no {' and no '.join(missing)}, only {', '.join(map(str, losses.keys()))}")
+        self.loss_metrics(dict.fromkeys(map(str, losses.keys()), 1.0))
+        for name, value in self.loss.named_buffers():
+            value.copy_(buffers[name])
 
     def loss_metrics(self, means: dict[str, float]) -> dict[str, float]:
         """Return the metrics of one's own loss, under ``Loss/*``.

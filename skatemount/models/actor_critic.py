@@ -119,6 +119,12 @@ class ActorCritic(Networks):
         self.actor = _gaussian_actor(nn.Sequential(policy, deviation), "observation")
         self.critic = ValueOperator(Join(value), in_keys=list(self.critic_keys))
 
+    @property
+    def description(self) -> str:
+        """The sizes of the actor's hidden layers; for a class that derives from this one its name as well."""
+        name = "" if type(self) is ActorCritic else f"network {self.config.kind}, "
+        return f"{name}actor {list(self.config.actor)}"
+
     def learners(self, compiled: bool = False) -> tuple[ProbabilisticActor, ValueOperator]:
         """Return an actor and a critic that share the layers and read what `prepare` returns.
 

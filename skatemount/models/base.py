@@ -12,8 +12,10 @@ from torch import Tensor, nn
 
 from skatemount.models.config import NETWORKS, NetworkConfig
 from skatemount.models.symmetry import Reflection
+from skatemount.models.trial import try_networks
 from skatemount.utils.classes import made
 from skatemount.utils.errors import ConfigError
+from skatemount.utils.formatting import format_count
 
 if TYPE_CHECKING:
     from torchrl.envs import Transform
@@ -33,10 +35,11 @@ class Networks(nn.Module):
         privileged: Number of entries of ``privileged``.
         actions: Number of entries of ``action``.
         reflections: Reflections of ``observation``, ``privileged`` and ``action``, if ``network.symmetric`` is on and
-            the networks are new.
+            the networks are new. With them a mirrored observation must give the mirrored action and the same value.
 
     Attributes:
         config: Settings of both networks.
+        sizes: Numbers of entries of ``observation``, ``privileged`` and ``action``.
         actor: TorchRL actor: reads `actor_keys`, and writes ``loc``, ``scale``, ``action`` and ``action_log_prob``.
         critic: Reads `critic_keys`, and writes ``state_value``.
         actor_keys: Observations that the actor reads.
@@ -61,6 +64,13 @@ class Networks(nn.Module):
         super().__init__()
         config.validate()
         self.config = config
+        self.sizes = observation, privileged, actions
+
+    @property
+    def description(self) -> str:
+        """The networks in a few words, for the line with which a training starts."""
+        count = sum(each.numel() for each in self.parameters())
+        return f"network {self.config.kind} ({format_count(count)} weights)"
 
     @property
     def recurrent(self) -> bool:
@@ -132,6 +142,11 @@ class Networks(nn.Module):
         return act
 
 
+def is_own(made: object) -> bool:
+    """Return whether the class of networks or of an algorithm is a user's, whose mistakes are looked for."""
+    return not type(made).__module__.startswith("skatemount.")
+
+
 def make_networks(
     config: NetworkConfig,
     observation: int,
@@ -142,11 +157,13 @@ def make_networks(
     """Make the networks that the settings name; the arguments are those of `Networks`.
 
     Raises:
-        ConfigError: There is no such class, or it cannot be made with these settings.
+        ConfigError: There is no such class, it cannot be made with these settings, or its networks cannot be used.
     """
     cls = NETWORKS.find(config.kind, "network.kind")
     where = f"network.kind={config.kind}"
     networks: Networks = made(cls, where, config, observation, privileged, actions, reflections, **config.params)
     if missing := [name for name in ("actor", "critic") if not isinstance(getattr(networks, name, None), nn.Module)]:
         raise ConfigError(f"{where}: {cls.__name__} of {cls.__module__} must set {' and '.join(missing)}")
+    if is_own(networks):
+        try_networks(networks, reflections)
     return networks

@@ -211,10 +211,9 @@ class Trainer:
 
     def describe(self) -> str:
         """Return two lines: the stage, the worlds, the network and the initial policy; the run folder."""
-        stage, network = self.config.stage, self.config.network
         return (
-            f"{stage.name}: {self.env.num_worlds} worlds ({self.env.physics.description}), "
-            f"actor {list(network.actor)}, starts from {self.started_from or 'scratch'}\n"
+            f"{self.config.stage.name}: {self.env.num_worlds} worlds ({self.env.physics.description}), "
+            f"{self.networks.description}, starts from {self.started_from or 'scratch'}\n"
             f"run: {self.run.path}"
         )
 

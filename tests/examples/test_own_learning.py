@@ -201,7 +201,7 @@ def test_a_policy_with_memory_is_saved_evaluated_and_played(make: Callable[..., 
             ["network.params.hiden=8"],
             "network.params.hiden=8: GruActorCritic of own_learning.gru has no such parameter; ",
         ),
-        (["network.symmetric=true"], "network.symmetric=true: this network is not symmetric"),
+        (["network.symmetric=true"], "network.symmetric=true: GruActorCritic of own_learning.gru (network.kind="),
         (
             ["algorithm.minibatches=9"],
             "algorithm.minibatches=9 must be at most the 8 worlds: network.kind=own_learning.",

@@ -15,7 +15,6 @@ from skatemount.models.config import NetworkConfig
 from skatemount.models.distributions import BoundedNormalScale
 from skatemount.models.normalization import RunningNormalizer
 from skatemount.models.symmetry import Reflection
-from skatemount.utils.errors import ConfigError
 
 
 class Joined(nn.Module):
@@ -49,8 +48,6 @@ class GruActorCritic(Networks):
         hidden: int = 64,
     ):
         super().__init__(config, observation, privileged, actions, reflections)
-        if config.symmetric:
-            raise ConfigError("network.symmetric=true: this network is not symmetric; use network=gru, or false")
         self.normalizers = nn.ModuleList([RunningNormalizer(observation), RunningNormalizer(observation + privileged)])
         self.gru = GRUModule(
             observation, hidden, in_keys=["normalized", "memory"], out_keys=["remembered", ("next", "memory")]

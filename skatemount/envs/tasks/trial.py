@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
@@ -42,10 +43,10 @@ def try_task(task: TaskDefinition, context: TaskContext, observation_size: int, 
         _try(name, lambda: checked_flags(in_state(sim, episode, context), name, episode))
     for metric in task.metrics:
         name = f"{where}, metric {metric.name!r}"
-        _try(name, lambda metric=metric: _try_metric(metric, task.name, sim, episode, context))
-        _try(f"{name}: most", lambda metric=metric: _try_most(metric, task.name, context.layout))
+        _try(name, partial(_try_metric, metric, task.name, sim, episode, context))
+        _try(f"{name}: most", partial(_try_most, metric, task.name, context.layout))
         if metric.training is not None:
-            _try(f"{name}: training", lambda metric=metric: _try_training(metric, task.name, episode, context))
+            _try(f"{name}: training", partial(_try_training, metric, task.name, episode, context))
 
 
 def _try(where: str, function: Callable[[], Any]) -> None:
