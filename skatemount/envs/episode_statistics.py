@@ -92,6 +92,12 @@ class EpisodeStatistics:
         self._termination_counts += outcome.termination_flags.to(torch.float32) @ ended
         self.restart(done)
 
+    def not_finite(self) -> list[str]:
+        """Return the names of the reward terms that gave a value that is not finite since the last `pop`."""
+        # A sum stays not finite, also with the weight 0 of an episode that has not ended.
+        finite = (self._returns.isfinite().all(1) & self._return_sums.isfinite()).tolist()
+        return [name for name, good in zip(self._rewards, finite) if not good]
+
     def pop(self) -> dict[str, float]:
         """Return the means since the last call, and start new sums.
 

@@ -7,12 +7,27 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 
 from skatemount.losses.config import ALGORITHMS, AlgorithmConfig
 from skatemount.models.base import Networks, is_own
 from skatemount.models.trial import STEPS, WORLDS, example_batch, unchanged
 from skatemount.utils.classes import made
 from skatemount.utils.errors import ConfigError, reason
+
+
+class NotFinite(FloatingPointError):
+    """A batch has a value that is not finite.
+
+    Args:
+        message: Says where.
+        key: Key of the value in the batch, without ``next``.
+        columns: ``[size]`` bool, the entries of the key that are not finite in the first such step.
+    """
+
+    def __init__(self, message: str, key: str, columns: Tensor):
+        super().__init__(message)
+        self.key, self.columns = key, columns
 
 
 class Algorithm(abc.ABC):
@@ -53,7 +68,7 @@ class Algorithm(abc.ABC):
             Metrics, under ``Loss/*``.
 
         Raises:
-            FloatingPointError: A value is not finite.
+            FloatingPointError: A value is not finite. From `NotFinite` the training finds out which term gave it.
         """
 
     @abc.abstractmethod

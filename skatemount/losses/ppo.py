@@ -15,7 +15,7 @@ from torchrl.modules import IndependentNormal, set_recurrent_mode
 from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR, LossModule
 from torchrl.objectives.value import GAE
 
-from skatemount.losses.base import Algorithm
+from skatemount.losses.base import Algorithm, NotFinite
 from skatemount.losses.concurrent import ConcurrentCritic
 from skatemount.losses.config import AlgorithmConfig
 from skatemount.models.base import Networks
@@ -257,7 +257,7 @@ class PPO(Algorithm):
         return {"Loss/clip_fraction": means["clip_fraction"]}
 
     def _check_finite(self, batch: TensorDictBase) -> None:
-        """Raise `FloatingPointError` for values that are not finite, which would stay in the normalizers forever.
+        """Raise `NotFinite` for values that are not finite, which would stay in the normalizers forever.
 
         The error names the first cause: a weight, then the earliest step of the batch, in the order of a step.
         """
@@ -273,9 +273,11 @@ class PPO(Algorithm):
         step = int(broken[key].any(0).int().argmax())
         worlds = broken[key].any(1)
         world = int(broken[key][:, step].int().argmax())
-        raise FloatingPointError(
+        raise NotFinite(
             f"{key if isinstance(key, str) else '.'.join(key)} is not finite in {int(worlds.sum())} of {len(worlds)} "
-            f"worlds, first in world {world} at step {step} of the batch"
+            f"worlds, first in world {world} at step {step} of the batch",
+            key if isinstance(key, str) else key[-1],
+            ~torch.isfinite(batch[key][:, step]).all(0),
         )
 
     def _step(self, part: TensorDictBase) -> dict[str, Tensor]:

@@ -5,6 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
+from tensordict import TensorDictBase
+
+from skatemount.envs import MountEnv
+from skatemount.losses.base import NotFinite
+
 MOST_IN_A_ROW = 3
 """Number of updates in a row that are undone before the training ends."""
 
@@ -60,3 +65,38 @@ class UpdateGuard:
     def load_state_dict(self, state: dict[str, int]) -> None:
         """Restore what `state_dict` returned."""
         self.undone, self.in_a_row = state["undone"], state["in_a_row"]
+
+
+def naming_terms(
+    update: Callable[[TensorDictBase], dict[str, float]], batch: TensorDictBase, env: MountEnv
+) -> dict[str, float]:
+    """Run an update, and name the terms that gave a value that is not finite.
+
+    Args:
+        update: Learns from the batch, and returns metrics.
+        batch: ``[N, T]`` of the environment.
+        env: The environment, with its statistics of this batch.
+
+    Returns:
+        The metrics.
+
+    Raises:
+        FloatingPointError: Something is not finite; if it comes from a reward or an observation, with its name.
+    """
+    try:
+        return update(batch)
+    except NotFinite as error:
+        if not (names := _terms(error, env)):
+            raise
+        gave = "the term" if len(names) == 1 else "the terms"
+        raise FloatingPointError(f"{error}, from {gave} {', '.join(names)}") from error
+
+
+def _terms(error: NotFinite, env: MountEnv) -> list[str]:
+    if error.key == "reward":
+        return [f"reward.{name}" for name in env.statistics.not_finite()]
+    tables = {"observation": ("policy", env.mdp.observation), "privileged": ("privileged", env.mdp.privileged)}
+    if error.key not in tables:
+        return []
+    name, table = tables[error.key]
+    return [f"observation.{name}.{term}" for term in table.names_at(error.columns)]

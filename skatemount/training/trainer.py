@@ -29,7 +29,7 @@ from skatemount.runs.folder import RunFolder
 from skatemount.runs.sweep import SweepFolder
 from skatemount.training.callbacks import Callback, arrange_callbacks, make_callbacks
 from skatemount.training.commands import what_is_left
-from skatemount.training.guard import UpdateGuard
+from skatemount.training.guard import UpdateGuard, naming_terms
 from skatemount.training.memory import RestoredMemory, memory_after
 from skatemount.training.progress import Progress
 from skatemount.training.setup import load_initial_policy, make_networks, set_up_process
@@ -360,7 +360,8 @@ class Trainer:
             weights = {name: part for name, part in self.parts.items() if name in ("networks", "ppo")}
             load_parts(weights, self._before["parts"], "the state before this iteration")
 
-        return self._guard.update(lambda: self.algorithm.update(batch), undo, self.frames, str(self.run.latest or ""))
+        last = str(self.run.latest or "")
+        return self._guard.update(lambda: naming_terms(self.algorithm.update, batch, self.env), undo, self.frames, last)
 
     def evaluate(self, episodes: int, progress: Callable[[int, int], None] | None = None) -> Evaluation:
         """Evaluate the policy in the training's task, with deterministic actions and seeds that training never uses.

@@ -176,6 +176,15 @@ class ObservationTable:
             values = values.clamp(-self._clip, self._clip)
         return values * self._scale
 
+    def names_at(self, columns: Tensor) -> list[str]:
+        """Return the names of the terms that some entries of the vector belong to.
+
+        Args:
+            columns: ``[size]`` bool.
+        """
+        parts = columns.split([block.size * block.frames for block in self._blocks])
+        return [block.name for block, part in zip(self._blocks, parts) if part.any()]
+
     def layout(self) -> list[dict[str, Any]]:
         """Describe the vector for a policy's card.
 
