@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -155,6 +156,42 @@ def classes_page() -> str:
     return "\n".join(lines)
 
 
+def inputs_page() -> str:
+    """Return the page of what every term has in common: its inputs, its row in the settings, its mirror image."""
+    from skatemount.envs.config.terms import ObservationTerm, RewardTerm, TerminationTerm
+    from skatemount.envs.mirror import KINDS
+    from skatemount.envs.state import EpisodeState, SimState
+    from skatemount.envs.terms import TaskContext
+
+    lines = [
+        "# Inputs and settings of terms",
+        "",
+        "What each reward, observation and termination gets, and what its row in the settings can set. "
+        "[Use your own](../extend.md#rewards-observations-and-terminations) says how to write one. N is the number of "
+        "worlds; J, F and B are the robot's joints, feet and bodies. The A1 has 12, 4 and 13.",
+        "",
+    ]
+    for title, cls in (("sim", SimState), ("episode", EpisodeState), ("context", TaskContext)):
+        docstring = ref.Docstring.of(cls)
+        lines += [f"## `{title}`", "", plain(" ".join(docstring.paragraphs)), ""]
+        lines += head("field", "shape", "meaning, frame and unit")
+        for name, text in docstring.entries.items():
+            shape, rest = re.fullmatch(r"(?:``(\[.*?\])``,? )?(.*)", text, re.DOTALL).groups()
+            lines.append(row(f"`{title}.{name}`", f"`{shape}`" if shape else "", plain(rest)))
+        lines.append("")
+    rows = {"observation.policy": ObservationTerm, "reward": RewardTerm, "termination": TerminationTerm}
+    for table, cls in rows.items():
+        lines += [f"## `{table}.<term>`", "", *head("setting", "default", "meaning")]
+        made = cls()
+        for name, (_, text) in ref.meanings(cls).items():
+            lines.append(row(f"`{name}`", code(getattr(made, name)), plain(text)))
+        lines.append("")
+    lines += ["The rows of `observation.privileged` have the settings of `observation.policy`.", ""]
+    lines += ["## Kinds of mirror images", "", *head("kind", "for")]
+    lines += [row(f"`{kind}`", plain(meaning)) for kind, meaning in KINDS.items()]
+    return "\n".join([*lines, ""])
+
+
 def sentence(text: str) -> str:
     """Return a description as a sentence."""
     return f"{plain(text[:1].upper() + text[1:])}."
@@ -193,6 +230,7 @@ def pages() -> dict[str, tuple[str, str]]:
         "terminations": ref.terms_page(
             "Terminations", terminations, TERMINATIONS, "termination", lambda *_: "termination"
         ),
+        "inputs": inputs_page(),
         "commands": command_page(),
         "robots": group_page("Robots", "`robot=<name>` chooses the robot.", "robot"),
         "boards": group_page("Boards", "`board=<name>` chooses the skateboard.", "board"),

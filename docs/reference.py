@@ -6,6 +6,7 @@ the docstrings of the dataclasses (types and meaning); terms come from their reg
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import functools
 import inspect
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from omegaconf import OmegaConf
+from tensordict import is_tensorclass
 
 from skatemount.config.programs import PROGRAMS
 
@@ -61,6 +63,16 @@ def code(value: Any) -> str:
 # --- docstrings ---
 
 
+def written_docstring(thing: Any) -> str:
+    """Return the docstring of a class or a function as it is written; "" without one."""
+    if not is_tensorclass(thing):
+        return inspect.getdoc(thing) or ""
+    # `tensorclass` replaces the docstring by the constructor's signature.
+    tree = ast.parse(inspect.getsource(inspect.getmodule(thing)))  # type: ignore[arg-type]
+    (found,) = (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == thing.__name__)
+    return ast.get_docstring(found) or ""
+
+
 @dataclasses.dataclass
 class Docstring:
     """A Google-style docstring.
@@ -76,7 +88,7 @@ class Docstring:
     @classmethod
     def of(cls, thing: Any) -> Docstring:
         """Return the docstring of a class or a function."""
-        lines = (inspect.getdoc(thing) or "").splitlines()
+        lines = written_docstring(thing).splitlines()
         starts = [i for i, line in enumerate(lines) if re.fullmatch(r"[A-Z]\w+:", line)]
         text = "\n".join(lines[: starts[0] if starts else len(lines)])
         entries: dict[str, str] = {}

@@ -12,6 +12,22 @@ from torch import Tensor
 
 from skatemount.envs.robots.layout import JointLayout
 
+KINDS = {
+    "vector": "polar vectors (positions, velocities, forces), three values each: y changes its sign",
+    "axial": "axial vectors (angular velocities), three values each: x and z change their signs",
+    "vector_axial": "a polar and an axial vector, six values",
+    "command": "velocity command (forward, left, turn left): left and turn change their signs",
+    "joints": "one value for each joint: the legs change sides, and angles about x or z change their signs",
+    "feet": "a polar vector for each foot: the legs change sides, and y changes its sign",
+    "flags": "one value for each foot: the legs change sides",
+    "flags_twice": "one value for each foot, then a second one for each foot: the legs change sides in both",
+    "bodies": "one value for each body: the bodies of the legs change sides",
+    "outline": "points around the deck, three values each, from the middle of its front: left and right change places",
+    "negative": "values that change their signs, such as the angles of the trucks",
+    "scalars": "values that stay as they are, such as heights",
+}
+"""Kinds of mirror images of an observation, with their meanings."""
+
 _POLAR = torch.tensor([1.0, -1.0, 1.0])
 _AXIAL = -_POLAR
 
@@ -24,9 +40,7 @@ def mirror_map(kind: str, size: int, layout: JointLayout) -> tuple[Tensor, Tenso
     """Return the permutation and signs of one block: ``mirrored = x[:, permutation] * signs``.
 
     Args:
-        kind: ``vector`` (polar vectors), ``axial``, ``vector_axial``, ``command`` (vx, vy, wz), ``joints``, ``feet``,
-            ``flags`` (one value per foot), ``flags_twice``, ``bodies``, ``outline`` (points around the deck from the
-            middle of its front), ``negative`` or ``scalars``.
+        kind: A key of `KINDS`.
         size: Number of values in the block.
         layout: Order of the robot's joints, feet and bodies.
 

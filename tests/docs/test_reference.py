@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import sys
 from pathlib import Path
@@ -37,6 +38,32 @@ def test_a_term_has_meaning_weight_and_parameters(pages: dict[str, str]) -> None
     summary = next(line for line in pages["rewards"].splitlines() if line.startswith("| [`mounted`]"))
     assert "reward, per second" in summary and "`default` 2" in summary and "success" in summary
     assert "| `params.ramp` | `0.0` |" in pages["rewards"]
+
+
+def test_every_input_of_a_term_has_its_shape_and_every_setting_its_meaning(pages: dict[str, str]) -> None:
+    from skatemount.envs.config.terms import ObservationTerm, RewardTerm, TerminationTerm
+    from skatemount.envs.mirror import KINDS, mirror_map
+    from skatemount.envs.robots import A1, JointLayout
+    from skatemount.envs.state import EpisodeState, SimState
+    from skatemount.envs.terms import TaskContext
+
+    page = pages["inputs"]
+    for title, cls in (("sim", SimState), ("episode", EpisodeState), ("context", TaskContext)):
+        rows = re.findall(rf"^\| `{title}\.(\w+)` \| (.*?) \| .+ \|$", page, re.MULTILINE)
+        assert {name for name, _ in rows} == {field.name for field in dataclasses.fields(cls)}
+        assert title == "context" or all(shape.startswith("`[N") for _, shape in rows)
+    layout = JointLayout.of(A1)
+    rest, episode = SimState.at_rest(5, layout), EpisodeState.zeros(5, layout, 7)
+    sizes = {"N": 5, "J": 12, "F": 4, "B": len(layout.bodies), "O": 7}
+    for title, name, shape in re.findall(r"^\| `(sim|episode)\.(\w+)` \| `\[(.*?)\]`", page, re.MULTILINE):
+        value = (rest if title == "sim" else episode).get(name)
+        assert [sizes.get(each) or int(each) for each in shape.split(", ")] == list(value.shape), name
+    for cls in (ObservationTerm, RewardTerm, TerminationTerm):
+        for field in dataclasses.fields(cls):
+            assert re.search(rf"^\| `{field.name}` \| `.+` \| .+ \|$", page, re.MULTILINE)
+    assert re.findall(r"^\| `(\w+)` \| [^`]+ \|$", page, re.MULTILINE)[-len(KINDS) :] == list(KINDS)
+    for kind in KINDS:
+        mirror_map(kind, 12, layout)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from skatemount.envs.config.terms import ObservationTerm
-from skatemount.envs.mirror import mirror_map
+from skatemount.envs.memory import term_name
+from skatemount.envs.mirror import KINDS, mirror_map
 from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.sampling import coarse_noise
 from skatemount.envs.state import EpisodeState, SimState
@@ -28,7 +29,7 @@ class TermLayout:
 
     Attributes:
         size: Number of values, or a function that computes it from the robot's layout and the term's parameters.
-        mirror: A kind of `skatemount.envs.mirror.mirror_map`; None if the term has no left-right mirror image.
+        mirror: A key of `skatemount.envs.mirror.KINDS`; None if the term has no left-right mirror image.
     """
 
     size: int | Size
@@ -48,8 +49,20 @@ def observation(size: int | Size, mirror: str | None) -> Callable[[AnyTerm], Any
     Args:
         size: See `TermLayout`.
         mirror: See `TermLayout`.
+
+    Raises:
+        ConfigError: There is no such kind of mirror image, or the term's name is taken.
     """
-    return OBSERVATIONS.register(TermLayout(size, mirror))
+    register: Callable[[AnyTerm], AnyTerm] = OBSERVATIONS.register(TermLayout(size, mirror))
+
+    def add(function: AnyTerm) -> AnyTerm:
+        if mirror is not None and mirror not in KINDS:
+            known = ", ".join(KINDS)
+            where = f"observation {term_name(function)} of {function.__module__}"
+            raise ConfigError(f"{where}: mirror={mirror!r} must be one of {known}, or None for no mirror image")
+        return register(function)
+
+    return add
 
 
 @dataclass(frozen=True)
@@ -224,14 +237,11 @@ class ObservationTable:
         """Return permutation and signs of one frame of a term.
 
         Raises:
-            ConfigError: The term was registered with a mirror kind that does not exist or is of another size.
+            ConfigError: The term was registered with a kind of mirror image that is of another size.
         """
         where = f"{self._where}.{block.name} of {OBSERVATIONS.module(block.name)}: mirror={block.mirror!r}"
         assert block.mirror is not None
-        try:
-            permutation, sign = mirror_map(block.mirror, block.size, self._context.layout)
-        except ValueError as error:
-            raise ConfigError(f"{where}: {error}; see skatemount.envs.mirror.mirror_map") from error
+        permutation, sign = mirror_map(block.mirror, block.size, self._context.layout)
         if not len(permutation) == len(sign) == block.size:
             raise ConfigError(f"{where}: is no mirror image of a term of size {block.size}")
         return permutation, sign
