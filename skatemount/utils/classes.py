@@ -203,6 +203,38 @@ class ClassRegistry:
             raise ConfigError(
                 f"{where}: {cls.__name__} of {cls.__module__} lacks {', '.join(missing)}; see {self._base}"
             )
+        if not cls.__module__.startswith("skatemount."):
+            self._check_signatures(cls, where)
+
+    def _check_signatures(self, cls: type, where: str) -> None:
+        """Check that the methods of a user's class can be called as those of the base are."""
+        module, _, name = self._base.rpartition(".")
+        base = getattr(importlib.import_module(module), name) if module else None
+        for method in self._methods:
+            given = _given(getattr(base, method, None))
+            if given is None:
+                continue
+            try:
+                taken = inspect.signature(getattr(cls, method))
+            except (TypeError, ValueError):  # it is not written in Python
+                continue
+            try:
+                taken.bind(None, *given)
+            except TypeError:
+                found = f"{method}({', '.join(list(taken.parameters)[1:])})"
+                raise ConfigError(
+                    f"{where}: {cls.__name__} of {cls.__module__} has {found}; it must take ({', '.join(given)}); see "
+                    f"{self._base}"
+                ) from None
+
+
+def _given(method: Any) -> list[str] | None:
+    """Return the names of the arguments that a method of a base class is called with; None if they are not known."""
+    if not getattr(method, "__module__", "").startswith("skatemount."):
+        return None
+    parameters = list(inspect.signature(method).parameters.values())[1:]
+    plain = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    return [each.name for each in parameters] if all(each.kind is plain for each in parameters) else None
 
 
 def made(cls: Callable[..., Any], where: str, *arguments: Any, **named: Any) -> Any:

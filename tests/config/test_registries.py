@@ -164,6 +164,42 @@ def test_a_wrong_class_is_one_line_that_names_its_setting(setting: str, expected
     assert refused(setting).startswith(expected)
 
 
+@pytest.mark.parametrize(
+    ("code", "setting", "expected"),
+    [
+        (
+            "from skatemount.losses.ppo import PPO\nclass Mine(PPO):\n    def update(self): ...",
+            "algorithm.kind={0}:Mine",
+            "algorithm.kind={0}:Mine: Mine of {0} has update(); it must take (batch); see skatemount.losses.",
+        ),
+        (
+            "from skatemount.models.actor_critic import ActorCritic\n"
+            "class Mine(ActorCritic):\n    def learners(self): ...",
+            "network.kind={0}:Mine",
+            "network.kind={0}:Mine: Mine of {0} has learners(); it must take (compiled); see skatemount.models",
+        ),
+        (
+            LOGGER.replace("metrics, frames", "metrics"),
+            "logger.loggers=[{0}:Lines]",
+            "logger.loggers={0}:Lines: Lines of {0} has log(metrics); it must take (metrics, frames); see skate",
+        ),
+        (
+            COMMAND.replace("sim, episode", "sim"),
+            "command.mode={0}:Forward",
+            "command.mode={0}:Forward: Forward of {0} has update(sim); it must take (sim, episode); see skatemount",
+        ),
+        (
+            CALLBACK.replace("trainer, metrics", "trainer, metrics, more"),
+            "callbacks=[{0}:Count]",
+            "callbacks={0}:Count: Count of {0} has on_iteration_end(trainer, metrics, more); it must take (trainer, ",
+        ),
+    ],
+)
+def test_a_method_of_another_signature_is_one_line(code: str, setting: str, expected: str, module: Write) -> None:
+    name = module(code)
+    assert refused(setting.format(name)).startswith(expected.format(name))
+
+
 def test_a_module_that_cannot_be_imported_is_one_line(module: Write) -> None:
     name = module("1 / 0")
     text = refused(f"network.kind={name}:Mine")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +20,7 @@ from skatemount.config import compose, compose_program, set_user_config_dir
 from skatemount.envs import MountEnv
 from skatemount.evaluation.evaluator import Evaluator, deterministic
 from skatemount.evaluation.suite_task import EvaluationTask
+from skatemount.record import record
 from skatemount.rendering.playback import replay_episode
 from skatemount.runs.checkpoint import load_training_state
 from skatemount.runs.metrics import read_metrics
@@ -192,6 +194,17 @@ def test_a_policy_with_memory_is_saved_evaluated_and_played(make: Callable[..., 
     alone, switched = (evaluator.round(policy, 0) for policy in (agent.networks, pair))
     evaluator.close()
     assert torch.equal(alone.duration, switched.duration)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.environ.get("MUJOCO_GL") not in ("egl", "osmesa"), reason="needs OpenGL without a display")
+def test_a_policy_with_memory_is_filmed(make: Callable[..., Trainer], runs_root: Path) -> None:
+    trainer = make("balance", "network=gru", *TINY, *SILENT, "total_frames=64")
+    trainer.train()
+    given = [f"checkpoint={trainer.run.path}", "episode_length=0.4", "episode=1", "film.width=160", "film.height=120"]
+    record(compose_program("record", [*given, "physics.threads=1"]), given)
+    (film,) = trainer.run.videos.glob("*.mp4")
+    assert film.stat().st_size > 1000
 
 
 @pytest.mark.parametrize(
