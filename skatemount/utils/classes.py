@@ -16,7 +16,7 @@ import types
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from skatemount.utils.errors import ConfigError, place_of
+from skatemount.utils.errors import ConfigError, reason
 
 _CLASS = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 C = TypeVar("C", bound=type)
@@ -257,10 +257,7 @@ def made(cls: Callable[..., Any], where: str, *arguments: Any, **named: Any) -> 
         own = not cls.__module__.startswith("skatemount.")
         if not own and not isinstance(error, TypeError | ValueError):
             raise
-        said = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        raise ConfigError(
-            f"{where}: {cls.__name__} of {cls.__module__} cannot be made: {said}{place_of(error, skip=1)}"
-        ) from error
+        raise ConfigError(f"{where}: {cls.__name__} of {cls.__module__} cannot be made: {reason(error)}") from error
 
 
 def module_of(name: str) -> str:

@@ -18,17 +18,13 @@ class ConfigError(ValueError):
     """
 
 
-def place_of(error: BaseException, skip: int = 0) -> str:
-    """Return where an error came from as text behind a message, such as `` (mine.py, line 3)``; "" if unknown.
-
-    Args:
-        error: An error that was raised.
-        skip: Number of frames, from the outermost, that are not worth naming.
-    """
+def place_of(error: BaseException) -> str:
+    """Return the line of a user's code that an error came from, such as `` (mine.py, line 3)``; "" if unknown."""
     if isinstance(error, SyntaxError) and error.filename is not None:
         return f" ({error.filename}, line {error.lineno})"
-    frames = traceback.extract_tb(error.__traceback__)[skip:]
-    return f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if not frame.filename.startswith((*_NOT_OF_THE_USER, "<"))] or frames
+    return f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""
 
 
 def brief(value: Any) -> str:
@@ -43,10 +39,7 @@ _NOT_OF_THE_USER = (str(Path(__file__).parents[1]), *map(sysconfig.get_path, ("s
 
 def reason(error: BaseException) -> str:
     """Return in one line what went wrong in code of a user's: type, message and place of an error."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if not frame.filename.startswith((*_NOT_OF_THE_USER, "<"))] or frames
-    place = f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""
-    return f"{type(error).__name__}: {brief(' '.join(str(error).split()))}{place}"
+    return f"{type(error).__name__}: {brief(' '.join(str(error).split()))}{place_of(error)}"
 
 
 _NOT_IN_A_NAME = re.compile(r"[/\\:\x00-\x1f\x7f]")
