@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from skatemount.evaluation.results import Evaluation
     from skatemount.evaluation.suite_task import EvaluationTask
     from skatemount.runs.sweep import Score
+    from skatemount.utils.decoration import Decoration
 
 
 def evaluate(config: EvaluateConfig, overrides: list[str]) -> Score:
@@ -34,17 +36,23 @@ def evaluate(config: EvaluateConfig, overrides: list[str]) -> Score:
 
     Raises:
         ConfigError: There is no such policy or suite, or the policy does not fit the task.
+        StorageError: A file of results could not be written; the results are printed first.
     """
     from skatemount.cli import prepare_outputs
     from skatemount.evaluation import report
     from skatemount.evaluation.suite_task import EvaluationTask
     from skatemount.runs.provenance import package_versions
     from skatemount.runs.sweep import Score
+    from skatemount.utils.decoration import Decoration
+    from skatemount.utils.errors import StorageError
 
+    table, commands = Decoration("the table of the results"), Decoration("the list of the next commands")
+    picture = Decoration("the success map")
     prepare_outputs(config.json, config.output)
     tasks = EvaluationTask.prepare(config, overrides)
     results: dict[str, Evaluation] = {}
     written: list[Path] = []
+    unwritten: list[OSError] = []
     for i, task in enumerate(tasks):
         place = f" ({i + 1} of {len(tasks)})" if len(tasks) > 1 else ""
         result = _evaluate(task, config.episodes, f"{task.name}{place}")
@@ -52,23 +60,29 @@ def evaluate(config: EvaluateConfig, overrides: list[str]) -> Score:
         results[task.name] = result
         # Files come before text: a pipe that closes early must not cost the results.
         if config.output is not None:
-            written += _write_outputs(task, result, Path(config.output))
+            with _collecting(unwritten):
+                written += _write_outputs(task, result, Path(config.output), picture)
         if len(tasks) > 1:
             print(f"{task.name}{place}: {result.success_rate:.1%}", flush=True)
     if config.json is not None:
         documents = {name: each.to_dict() for name, each in results.items()}
-        written.append(_write({"suites": documents} if len(tasks) > 1 else documents[task.name], Path(config.json)))
-    if len(tasks) > 1:
-        print(f"\n{tasks[0].agent.name}, {config.episodes} episodes of each suite\n")
-        print(report.overview(results, "suite"))
-    else:
-        print(report.table(result))
-        if failed := report.failed_episodes(result):
-            print(f"\n{failed}")
+        with _collecting(unwritten):
+            written.append(_write({"suites": documents} if len(tasks) > 1 else documents[task.name], Path(config.json)))
+    with table:
+        if len(tasks) > 1:
+            print(f"\n{tasks[0].agent.name}, {config.episodes} episodes of each suite\n")
+            print(report.overview(results, "suite"))
+        else:
+            print(report.table(result))
+            if failed := report.failed_episodes(result):
+                print(f"\n{failed}")
     print()
     for path in written:
         print(f"written to {path}")
-    print(report.next_commands(film_commands(tasks, results)))
+    with commands:
+        print(report.next_commands(film_commands(tasks, results)))
+    if unwritten:
+        raise StorageError(unwritten[0], "the results are only printed")
     successes = sum(int(each.records.success.sum()) for each in results.values())
     return Score.of(successes, sum(each.episodes for each in results.values()))
 
@@ -113,14 +127,25 @@ def _evaluate(task: EvaluationTask, episodes: int, doing: str) -> Evaluation:
         return task.evaluate(episodes, show)
 
 
-def _write_outputs(task: EvaluationTask, result: Evaluation, folder: Path) -> list[Path]:
-    """Write the results and the success map of one task into a folder, and return both files."""
+@contextlib.contextmanager
+def _collecting(errors: list[OSError]) -> Iterator[None]:
+    """Keep an error of the file system for later, so that it does not cost what comes after it."""
+    try:
+        yield
+    except OSError as error:
+        errors.append(error)
+
+
+def _write_outputs(task: EvaluationTask, result: Evaluation, folder: Path, drawing: Decoration) -> list[Path]:
+    """Write the results and the success map of one task into a folder, and return the files."""
     from skatemount.evaluation.success_map import plot_success_map
 
     picture = folder / f"{task.file_stem}.png"
-    written = _write(result.to_dict(), folder / f"{task.file_stem}.json")
-    plot_success_map(result, [each.board for each in task.configs.values()], picture)
-    return [written, picture]
+    written = [_write(result.to_dict(), folder / f"{task.file_stem}.json")]
+    with drawing:
+        plot_success_map(result, [each.board for each in task.configs.values()], picture)
+        written.append(picture)
+    return written
 
 
 def _write(document: dict[str, Any], path: Path) -> Path:

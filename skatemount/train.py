@@ -35,11 +35,13 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
 
     from skatemount.evaluation import report
     from skatemount.training.chain import chain_to_train, check_stages
-    from skatemount.training.commands import next_commands
+    from skatemount.training.commands import naming_what_is_left, next_commands
     from skatemount.training.resume import resume_config
     from skatemount.training.score import save_evaluation, score_of
     from skatemount.training.trainer import Trainer
+    from skatemount.utils.decoration import Decoration
 
+    table, commands = Decoration("the table of the evaluation"), Decoration("the list of the next commands")
     sweep = None
     if job is not None and config.resume is None:
         sweep = job.sweep
@@ -50,7 +52,9 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
         print(f"run: {chain.run.path}", flush=True)
         if not (goes_on and all(chain.ended(place) for place in range(len(chain.parts)))):
             chain.train()
-        print(f"run: {chain.run.path}\n{next_commands(chain.run)}")
+        print(f"run: {chain.run.path}")
+        with commands:
+            print(next_commands(chain.run))
         return score_of(chain.run)
     check_stages(config, overrides)
     trainer = Trainer(resume_config(config, overrides), overrides, sweep if config.resume is None else None)
@@ -60,9 +64,15 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
     finally:
         trainer.close()
     if result is not None:
-        save_evaluation(trainer.run, result, trainer.frames)
-        print(report.table(result))
-    print(f"run: {trainer.run.path}\n{next_commands(trainer.run)}")
+        try:
+            with naming_what_is_left(trainer):
+                save_evaluation(trainer.run, result, trainer.frames)
+        finally:
+            with table:
+                print(report.table(result), flush=True)
+    print(f"run: {trainer.run.path}")
+    with commands:
+        print(next_commands(trainer.run))
     return score_of(trainer.run)
 
 

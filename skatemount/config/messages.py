@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.errors import ConfigError, StorageError, advice
 
 
 def one_line(error: BaseException) -> str:
@@ -45,8 +45,10 @@ def one_line(error: BaseException) -> str:
 
 def reason(error: BaseException) -> str:
     """Return the message of any error in one line, with the file if it is about one."""
+    if isinstance(error, StorageError):
+        return str(error)
     if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
+        return f"{error.filename}: {error.strerror}{advice(error)}"
     text = str(error) if isinstance(error, ConfigError) else one_line(error)
     if isinstance(error, ConfigError | OSError | FloatingPointError) or is_of_library(error):
         return text

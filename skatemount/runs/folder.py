@@ -146,10 +146,21 @@ class RunFolder:
             print(f"warning: {self.path} cannot be locked ({error}); do not train in it twice at once", file=sys.stderr)
         try:
             # Only the holder may: another process would delete what this one is writing.
-            atomic.recover(self.path)
+            self._clear()
             yield
         finally:
             lock.release()
+
+    def _clear(self) -> None:
+        """Delete the leftovers of killed processes in the run, and in the folder of all runs."""
+        atomic.recover(self.path)
+        if (self.path / "checkpoints").is_dir():
+            atomic.recover(self.path / "checkpoints")
+            for folder in list_checkpoints(self.path / "checkpoints"):
+                atomic.clear(folder)
+        # The root is one folder higher for a part of a run, or a run of a sweep.
+        for folder in self.path.absolute().parents[1:3]:
+            atomic.clear(folder, "latest")
 
     @property
     def config(self) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from skatemount.runs.metrics import MetricsFile
 from skatemount.utils.classes import ClassRegistry, made
+from skatemount.utils.decoration import Decoration
 from skatemount.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -31,6 +32,9 @@ class Logger(Protocol):
 
     The constructor of one's own logger takes the `RunFolder`, and ``resume_at``: the environment steps of the
     checkpoint that the run resumes from, or None. What was logged beyond them happens again.
+
+    A logger that fails does not end a training: the first error is shown as a warning. The file ``metrics.jsonl`` is
+    the exception.
     """
 
     def log(self, metrics: dict[str, float], frames: int) -> None:
@@ -105,21 +109,26 @@ def open_loggers(
         others: Further loggers, by their names in ``logger.loggers``.
 
     Raises:
-        ConfigError: A logger cannot be opened, such as TensorBoard where it is not installed.
+        ConfigError: A logger cannot be made, such as TensorBoard where it is not installed.
+        OSError: ``metrics.jsonl`` cannot be written.
     """
     names = [*(["tensorboard"] if tensorboard else []), *(["jsonl"] if file else [])]
     with contextlib.ExitStack() as opened:
         loggers: list[Logger] = []
-
-        def keep(logger: Logger) -> None:
-            loggers.append(logger)
-            opened.callback(logger.close)
-
-        for name in names:
-            keep(LOGGERS.find(name, f"logger.{name}")(run, frames or None))
-        for name in others:
-            cls = LOGGERS.find(name, "logger.loggers")
-            keep(made(cls, f"logger.loggers={name}", run, frames or None))
+        for name in [*names, *others]:
+            where = f"logger.{name}" if name in names else "logger.loggers"
+            cls = LOGGERS.find(name, where)
+            try:
+                loggers.append(made(cls, f"{where}={name}", run, frames or None))
+            except ConfigError:
+                raise
+            except Exception as error:
+                if issubclass(cls, MetricsFile):
+                    raise
+                # A server that does not answer is no reason to train nothing.
+                Decoration(f"opening the logger {name}").warn(error)
+            else:
+                opened.callback(loggers[-1].close)
         opened.pop_all()
     return loggers
 

@@ -38,7 +38,9 @@ class MetricsFile:
         rows = [row for row in rows if resume_at is None or row[STEP] <= resume_at]
         atomic.write_text(path, "".join(map(_line, rows)))
         old.unlink(missing_ok=True)
-        self._file = path.open("a", encoding="utf-8")
+        self._path = path
+        # Without a buffer: what a full disk refuses must not be tried again when the file is closed.
+        self._file = path.open("ab", buffering=0)
 
     def log(self, metrics: dict[str, float], frames: int) -> None:
         """Write one line and hand it to the operating system.
@@ -46,9 +48,14 @@ class MetricsFile:
         Args:
             metrics: Numbers by name.
             frames: Environment steps so far.
+
+        Raises:
+            OSError: The line cannot be written, such as on a full disk; it names the file.
         """
-        self._file.write(_line({STEP: frames, **metrics}))
-        self._file.flush()
+        line = memoryview(_line({STEP: frames, **metrics}).encode())
+        with atomic.naming(self._path):
+            while line:
+                line = line[self._file.write(line) :]
 
     def close(self) -> None:
         """Close the file."""

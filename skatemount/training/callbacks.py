@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 from tensordict import TensorDictBase
 
 from skatemount.config.registries import CALLBACKS, HOOKS
 from skatemount.runs.loggers import Logger, as_numbers, open_loggers
+from skatemount.runs.metrics import MetricsFile
 from skatemount.training.plots import plot_learning_curves
 from skatemount.utils.classes import made
+from skatemount.utils.decoration import Decoration
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_count
 
@@ -91,12 +94,15 @@ class EvaluationCallback(Callback):
 class LoggerCallback(Callback):
     """Writes the metrics to the loggers that the settings name, and to the display.
 
+    An error of ``metrics.jsonl`` ends the training; that of any other logger is a warning.
+
     Args:
         loggers: Further loggers. They are closed when the training ends.
     """
 
     def __init__(self, loggers: Iterable[Logger] = ()) -> None:
         self.loggers: list[Logger] = list(loggers)
+        self._decorations: dict[int, Decoration] = {}
 
     def on_train_start(self, trainer: Trainer) -> None:
         """Open the loggers."""
@@ -110,12 +116,20 @@ class LoggerCallback(Callback):
         """Log the metrics."""
         values = as_numbers(metrics)
         for logger in self.loggers:
-            logger.log(values, trainer.frames)
+            with self._guarded(logger):
+                logger.log(values, trainer.frames)
 
     def on_train_end(self, trainer: Trainer) -> None:
         """Close the loggers."""
         while self.loggers:
-            self.loggers.pop().close()
+            logger = self.loggers.pop()
+            with self._guarded(logger):
+                logger.close()
+
+    def _guarded(self, logger: Logger) -> AbstractContextManager[Any]:
+        if isinstance(logger, MetricsFile):
+            return nullcontext()
+        return self._decorations.setdefault(id(logger), Decoration(f"the logger {type(logger).__name__}"))
 
 
 class CheckpointCallback(Callback):
@@ -139,6 +153,8 @@ class PlotCallback(Callback):
 
     def __init__(self) -> None:
         self._drawn = time.monotonic()
+        self._curves = Decoration("the picture of the learning curves")
+        self._map = Decoration("the picture of the curriculum")
 
     def on_train_start(self, trainer: Trainer) -> None:
         """Start the clock."""
@@ -154,11 +170,13 @@ class PlotCallback(Callback):
         """Draw the learning curves, if metrics are written to a file, and the curriculum, if there is one."""
         run = trainer.run
         if trainer.config.logger.jsonl:
-            mdp = trainer.env.mdp
-            shown = mdp.definition.metrics_of(mdp.definition.progress)
-            plot_learning_curves(run.metrics_file, run.curves_png, run.path.name, shown, mdp.context.layout)
+            with self._curves:
+                mdp = trainer.env.mdp
+                shown = mdp.definition.metrics_of(mdp.definition.progress)
+                plot_learning_curves(run.metrics_file, run.curves_png, run.path.name, shown, mdp.context.layout)
         if trainer.curriculum is not None:
-            trainer.curriculum.draw(run.curriculum_png, f"{run.path.name}, {format_count(trainer.frames)} steps")
+            with self._map:
+                trainer.curriculum.draw(run.curriculum_png, f"{run.path.name}, {format_count(trainer.frames)} steps")
 
 
 def make_callbacks(names: Sequence[str]) -> list[Callback]:

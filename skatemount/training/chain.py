@@ -27,10 +27,12 @@ from skatemount.runs.folder import RunFolder
 from skatemount.runs.serialization import parse_json
 from skatemount.runs.sweep import SweepFolder
 from skatemount.training.callbacks import Callback, gate_reached
+from skatemount.training.commands import naming_what_is_left
 from skatemount.training.plots import plot_chain
 from skatemount.training.resume import apply_resume_overrides
 from skatemount.training.score import save_evaluation
 from skatemount.training.trainer import Trainer
+from skatemount.utils.decoration import Decoration
 from skatemount.utils.documents import read_yaml
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_count
@@ -108,6 +110,9 @@ class Chain:
             for i, name in enumerate(stages, 1)
         ]
         self._evaluated: dict[str, dict[str, Any]] = {}
+        self._reported = Decoration("the report of the stages")
+        self._drawn = Decoration("the picture of the learning curves")
+        self._shown = Decoration("the table of the evaluation")
 
     @classmethod
     def begin(
@@ -241,12 +246,14 @@ class Chain:
         finally:
             trainer.close()
         if result is not None:
-            save_evaluation(trainer.run, result, trainer.frames)
+            with naming_what_is_left(trainer):
+                save_evaluation(trainer.run, result, trainer.frames)
             self._evaluated[part.name] = {
                 "episodes": result.episodes,
                 **result.to_dict(failed_episodes=False)["success"],
             }
-            print(report.table(result), flush=True)
+            with self._shown:
+                print(report.table(result), flush=True)
         self.report()
 
     def _start(self, place: int) -> str | None:
@@ -258,6 +265,16 @@ class Chain:
 
     def report(self) -> None:
         """Write what became of each stage so far, and draw the learning curves of all stages."""
+        # They are for readers: a chain resumes without them.
+        with self._reported:
+            self._write_report()
+        tables = [(part.name, RunFolder(part.folder).metrics_file) for part in self.parts]
+        # A table is there from a stage's first iteration on.
+        with self._drawn:
+            if self.config.logger.jsonl and any(part.frames for part in self.parts):
+                plot_chain(tables, self.run.curves_png, self.run.path.name)
+
+    def _write_report(self) -> None:
         path = self.run.path / REPORT_FILE
         if path.is_file():
             known = {s["name"]: s["evaluated"] for s in parse_json(path.read_bytes(), path)["stages"]}
@@ -280,10 +297,6 @@ class Chain:
             stages.append(entry)
         document = {"total_frames": self.config.total_frames, "stages": stages}
         atomic.write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
-        tables = [(part.name, RunFolder(part.folder).metrics_file) for part in self.parts]
-        # A table is there from a stage's first iteration on.
-        if self.config.logger.jsonl and any(part.frames for part in self.parts):
-            plot_chain(tables, self.run.curves_png, self.run.path.name)
 
 
 def chain_to_train(

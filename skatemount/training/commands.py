@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from skatemount import config as configuration
 from skatemount.config.compose import composed_values
 from skatemount.config.files import choices, load_file
 from skatemount.config.plugins import modules_of, written
 from skatemount.runs import checkpoint
-from skatemount.runs.folder import RunFolder
-from skatemount.utils.errors import ConfigError
+from skatemount.runs.folder import RunFolder, is_run
+from skatemount.utils.errors import ConfigError, StorageError
+from skatemount.utils.signals import Ended
+
+if TYPE_CHECKING:
+    from skatemount.training.trainer import Trainer
 
 
 def next_commands(run: RunFolder) -> str:
@@ -43,11 +50,38 @@ def what_is_left(run: RunFolder, frames: int) -> str:
         run: The run, whose training has ended.
         frames: Environment steps at its last checkpoint.
     """
-    if run.latest is None:
+    if not frames:
         return f"nothing was trained in {run.path}" if run.path.exists() else "nothing was trained"
+    if not is_run(run.path):
+        return f"the run {run.path} is gone; if it was moved, go on with: {' '.join(_resume('<its folder>'))}"
     modules = modules_of(run.config)
-    words = ["python", "-m", "skatemount.train", f"resume={run.path}", *([written(modules)] if modules else [])]
-    return f"{frames:,} steps are saved in {run.latest}; go on with: {shlex.join(words)}"
+    command = [*_resume(run.path), *([written(modules)] if modules else [])]
+    return f"{frames:,} steps are saved in {run.latest}; go on with: {shlex.join(command)}"
+
+
+def _resume(where: object) -> list[str]:
+    return ["python", "-m", "skatemount.train", f"resume={where}"]
+
+
+@contextmanager
+def naming_what_is_left(trainer: Trainer) -> Iterator[None]:
+    """Let requests to end and errors of files say what is left of a training and how to go on, for a ``with`` block.
+
+    Args:
+        trainer: The training.
+
+    Raises:
+        Ended: A signal ended the block.
+        StorageError: A file could not be written, such as on a full disk.
+    """
+    try:
+        yield
+    except Ended as end:
+        raise Ended(end.signum, what_is_left(trainer.run, trainer.saved_frames)) from None
+    except StorageError:
+        raise
+    except OSError as error:
+        raise StorageError(error, what_is_left(trainer.run, trainer.saved_frames)) from error
 
 
 def _is_of(suite: str, stage: str, success: str | None) -> bool:

@@ -15,6 +15,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 
 from skatemount.envs.tasks import Metric
+from skatemount.utils.decoration import Decoration
 from skatemount.utils.formatting import format_count, format_duration
 
 
@@ -63,6 +64,7 @@ class Progress:
         self._line_at = -math.inf
         self._line_frames: int | None = initial_frames
         self._live: Live | None = None
+        self._shown = Decoration("the display of the progress")
 
     def log(self, metrics: dict[str, float], frames: int) -> None:
         """Show the metrics of an iteration; a metric that is missing keeps its last value.
@@ -74,10 +76,11 @@ class Progress:
         self._frames = frames
         self._metrics.update(metrics)
         self._evaluated = None
-        if self._console.is_terminal:
-            self._refresh()
-        elif self._is_time():
-            self._print_line()
+        with self._shown:
+            if self._console.is_terminal:
+                self._refresh()
+            elif self._is_time():
+                self._print_line()
 
     def show_final_evaluation(self, done: int, total: int) -> None:
         """Show how much of the evaluation at the end is done; see `show_evaluation`."""
@@ -95,18 +98,20 @@ class Progress:
         if percent == self._evaluated:
             return
         self._evaluated = percent
-        if self._console.is_terminal:
-            self._refresh()
-        elif self._is_time():
-            self._print(f"{self._title}  {self._evaluating} {percent}%")
+        with self._shown:
+            if self._console.is_terminal:
+                self._refresh()
+            elif self._is_time():
+                self._print(f"{self._title}  {self._evaluating} {percent}%")
 
     def close(self) -> None:
         """Leave the last state on display."""
-        if self._live is not None:
-            self._live.stop()
-            self._live = None
-        elif not self._console.is_terminal and self._line_frames != self._frames:
-            self._print_line()
+        live, self._live = self._live, None
+        with self._shown:
+            if live is not None:
+                live.stop()
+            elif not self._console.is_terminal and self._line_frames != self._frames:
+                self._print_line()
         self._metrics = {}
 
     def __enter__(self) -> Progress:

@@ -28,7 +28,7 @@ from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.sweep import SweepFolder
 from skatemount.training.callbacks import Callback, arrange_callbacks, make_callbacks
-from skatemount.training.commands import what_is_left
+from skatemount.training.commands import naming_what_is_left, what_is_left
 from skatemount.training.guard import UpdateGuard, naming_terms
 from skatemount.training.memory import RestoredMemory, memory_after
 from skatemount.training.progress import Progress
@@ -44,7 +44,7 @@ from skatemount.training.state import (
 )
 from skatemount.utils.devices import on_threads, rng_state, seconds, set_rng_state
 from skatemount.utils.errors import ConfigError
-from skatemount.utils.signals import Ended, ending_by_signals, shielded
+from skatemount.utils.signals import ending_by_signals, shielded
 
 
 class Trainer:
@@ -235,18 +235,17 @@ class Trainer:
         Raises:
             ConfigError: Nothing is left to train, or another process is training in the same run folder.
             FloatingPointError: Several updates in a row were not finite; see `skatemount.training.guard`.
+            StorageError: A file could not be written; it names the last checkpoint.
             KeyboardInterrupt: A signal ended the training; all complete iterations are in a checkpoint. It is
                 `skatemount.utils.signals.Ended`, and says where they are.
         """
         if self.frames >= (total := self.config.total_frames):
             raise ConfigError(f"total_frames={total}: {self.frames} frames are already trained; raise it above that")
-        with ending_by_signals():
+        with ending_by_signals(), naming_what_is_left(self):
             try:
                 self._train()
                 episodes = self.config.logger.final_episodes
                 return self.evaluate(episodes, self.display.show_final_evaluation) if episodes else None
-            except Ended as end:
-                raise Ended(end.signum, what_is_left(self.run, self.saved_frames)) from None
             finally:
                 self.display.close()
 
@@ -263,11 +262,11 @@ class Trainer:
             raise
         except FloatingPointError:
             raise  # what is left is no better than the last checkpoint
-        except Exception:
+        except Exception as error:
             # An error in code of one's own must not cost what was trained. If saving fails, the first error counts.
             with suppress(Exception):
                 self._save_complete_iterations()
-                if self.saved_frames:
+                if self.saved_frames and not isinstance(error, OSError):  # which says it itself
                     print(what_is_left(self.run, self.saved_frames), file=sys.stderr, flush=True)
             raise
         finally:

@@ -1,7 +1,8 @@
-"""Errors of settings, in one line that names the setting, its value and the values that are allowed."""
+"""Errors in one line: of settings, with the values that are allowed, and of files, with what to do."""
 
 from __future__ import annotations
 
+import errno
 import math
 import re
 import sysconfig
@@ -25,6 +26,40 @@ def place_of(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if not frame.filename.startswith((*_NOT_OF_THE_USER, "<"))] or frames
     return f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""
+
+
+class StorageError(OSError):
+    """An error of the file system that ended a program.
+
+    The message is one line. It names the file, the reason, what to do, and what is left.
+
+    Args:
+        error: The error.
+        left: What the program leaves behind and how to go on.
+    """
+
+    def __init__(self, error: OSError, left: str) -> None:
+        said = error.strerror or " ".join(str(error).split()) or type(error).__name__
+        super().__init__(error.errno, f"{said}{advice(error)}; {left}", error.filename)
+
+    def __str__(self) -> str:
+        return f"{self.filename}: {self.strerror}" if self.filename is not None else str(self.strerror)
+
+
+_ADVICE = {
+    errno.ENOSPC: "free some space there",
+    errno.EDQUOT: "free some space there, or raise your quota",
+    errno.EFBIG: "raise the limit of a file's size, which ulimit -f shows",
+    errno.EROFS: "make it writable",
+    errno.EACCES: "change its permissions",
+    errno.EPERM: "change its permissions",
+}
+
+
+def advice(error: OSError) -> str:
+    """Return what a user can do about a file that cannot be written, after a semicolon; "" if there is no advice."""
+    known = _ADVICE.get(error.errno or 0)
+    return "" if known is None else f"; {known}"
 
 
 def brief(value: Any) -> str:
