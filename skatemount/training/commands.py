@@ -43,19 +43,22 @@ def policy_settings(run: RunFolder) -> list[str]:
     return [f"checkpoint={run.path}", *([written(modules)] if modules else [])]
 
 
-def what_is_left(run: RunFolder, frames: int) -> str:
-    """Return where a run's last checkpoint is, and the command that goes on from it.
+def what_is_left(trainer: Trainer) -> str:
+    """Return where the last checkpoint of a training is, and the command that goes on from it.
 
     Args:
-        run: The run, whose training has ended.
-        frames: Environment steps at its last checkpoint.
+        trainer: The training, which has ended.
     """
+    run, frames = trainer.run, trainer.saved_frames
     if not frames:
         return f"nothing was trained in {run.path}" if run.path.exists() else "nothing was trained"
     if not is_run(run.path):
         return f"the run {run.path} is gone; if it was moved, go on with: {' '.join(_resume('<its folder>'))}"
+    # A complete training has nothing to resume but its evaluation; of a chain, the next stage.
+    complete = trainer.stopping and frames == trainer.frames and run.parent is None
     modules = modules_of(run.config)
-    command = [*_resume(run.path), *([written(modules)] if modules else [])]
+    resume = [*_resume(run.path), *([written(modules)] if modules else [])]
+    command = ["python", "-m", "skatemount.evaluate", *policy_settings(run)] if complete else resume
     return f"{frames:,} steps are saved in {run.latest}; go on with: {shlex.join(command)}"
 
 
@@ -77,11 +80,11 @@ def naming_what_is_left(trainer: Trainer) -> Iterator[None]:
     try:
         yield
     except Ended as end:
-        raise Ended(end.signum, what_is_left(trainer.run, trainer.saved_frames)) from None
+        raise Ended(end.signum, what_is_left(trainer)) from None
     except StorageError:
         raise
     except OSError as error:
-        raise StorageError(error, what_is_left(trainer.run, trainer.saved_frames)) from error
+        raise StorageError(error, what_is_left(trainer)) from error
 
 
 def _is_of(suite: str, stage: str, success: str | None) -> bool:

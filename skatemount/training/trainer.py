@@ -267,7 +267,7 @@ class Trainer:
             with suppress(Exception):
                 self._save_complete_iterations()
                 if self.saved_frames and not isinstance(error, OSError):  # which says it itself
-                    print(what_is_left(self.run, self.saved_frames), file=sys.stderr, flush=True)
+                    print(what_is_left(self), file=sys.stderr, flush=True)
             raise
         finally:
             self._call("on_train_end")
