@@ -14,6 +14,7 @@ PROGRAMS = {
     "record": ("checkpoint=pretrained:balance", "film it"),
     "bench": ("stage=balance", "how fast training is here"),
     "list": ("stages", "stages, suites, boards, policies, terms, ..."),
+    "replay-diverged": ("runs/.../0001_world_7.npz", "why the physics of a world failed"),
     "robot-spec": ("robot.urdf", "a robot of your own from its URDF or MJCF"),
 }
 """Arguments of an example and a description for each program."""

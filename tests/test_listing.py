@@ -163,7 +163,8 @@ def test_the_command_says_what_programs_there_are(
         command.main()
     assert ended.value.code == 2
     assert capsys.readouterr().err == (
-        "skatemount: there is no program trian; there are: train, evaluate, record, bench, list, robot-spec\n"
+        "skatemount: there is no program trian; there are: train, evaluate, record, bench, list, replay-diverged, "
+        "robot-spec\n"
     )
 
 

@@ -73,6 +73,9 @@ class LoggerConfig:
         loggers: Further loggers: names that plugins registered, or ``module:Class`` of your own.
         progress_every: Seconds between two lines of progress when the output is not a terminal.
         plot_every: Seconds between two updates of the learning curves' picture.
+        dump_diverged: Number of worlds whose physics failed to write into the run's folder ``diverged``, for
+            `skatemount.replay_diverged`; 0 for none. Each control step takes a copy of all states until they are
+            written.
         checkpoint_every: Iterations between two checkpoints.
         keep_checkpoints: Number of the newest checkpoints to keep; the best one is kept as well.
         evaluate_every: Iterations between two evaluations during training; 0 for none.
@@ -88,6 +91,7 @@ class LoggerConfig:
     loggers: list[str]
     progress_every: float = field(metadata=number(0, 1e6, "s"))
     plot_every: float = field(metadata=number(0, 1e6, "s"))
+    dump_diverged: int = field(metadata=number(1, 10_000, "files", zero="none"))
     checkpoint_every: int = field(metadata=number(1, 10**9))
     keep_checkpoints: int = field(metadata=number(1, 10**6))
     evaluate_every: int = field(metadata=number(1, 10**9, "iterations", zero="none"))

@@ -58,6 +58,7 @@ ADDED_LATER: dict[str, Any] = {
     "algorithm.kind": "ppo",
     "algorithm.params": {},
     "callbacks": [],
+    "logger.dump_diverged": 0,
     "logger.loggers": [],
     "network.kind": "mlp",
     "network.params": {},
@@ -67,7 +68,7 @@ ADDED_LATER: dict[str, Any] = {
     "start.move_with_board": False,
     "start.truck_angle": None,
 }
-"""The same for files of formats 1 and 2."""
+"""The same for files of formats 1 to 3."""
 
 
 RENAMED_VALUES: dict[str, dict[str, str]] = {"robot.variant": {"unitree": "a1", "isaac": "a1_isaac"}}
@@ -95,7 +96,7 @@ def upgrade(values: dict[str, Any]) -> dict[str, Any]:
     if saved < 2:
         _rename(values)
         _add(values, ADDED)
-    if saved < 3:
+    if saved < 4:
         _add(values, ADDED_LATER)
     if saved < 4:
         _rename_values(values)

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from skatemount.envs.divergence import Divergence
 from skatemount.envs.drive import Drive
 from skatemount.envs.episode_statistics import EpisodeStatistics
 from skatemount.envs.mdp import StepResult
@@ -60,6 +61,7 @@ class MountEnv(EnvBase):
     Attributes:
         task: The task.
         physics: The engine.
+        divergence: Counts the worlds whose physics fails, and copies them on request.
         statistics: Statistics of the episodes that ended.
         torch_threads: Number of torch's threads that a step uses, and that suits a policy's actions; None for all.
         listeners: Functions that are called after every step. They must copy the parts of the episodes that they keep.
@@ -83,6 +85,7 @@ class MountEnv(EnvBase):
         self.is_closed = False
         self.task = task
         self.physics: Physics = physics
+        self.divergence = Divergence(physics, task.config)
         self.generator = torch.Generator(physics.device)
         self.mdp = task.make_mdp(self.generator)
         if max_mounted_time is not None:
@@ -219,6 +222,7 @@ class MountEnv(EnvBase):
         with torch.inference_mode():
             self._randomizer.new_episodes(self.physics, rows)
             self.physics.reset(mask, start)
+            self.divergence.begin(rows)
             if self._pushes.active:
                 self._pushes.restart(mask)
             self.statistics.restart(mask)
@@ -295,14 +299,18 @@ class MountEnv(EnvBase):
             self.physics.push(*self._pushes.due())
         if self._drive.active:
             self.physics.pull_board(self._drive.force(self.sim))
-        self.physics.step(self.mdp.targets(action), self._substeps)
+        targets = self.mdp.targets(action)
+        self.divergence.before_step()
+        self.physics.step(targets, self._substeps)
         sim = self._sim = self.physics.state()
         diverged = self.physics.diverged()
+        failed = diverged.nonzero().squeeze(1)
         outcome = self.mdp.advance(sim, self._episode, action, diverged)
+        self.divergence.after_step(failed, action, targets, self._episode.step, self._substeps)
         observations = self._observe(sim, self._episode)
         # Kept because a term with memory is computed once in each step.
         self._privileged = observations["privileged"]
-        return outcome, observations, diverged.nonzero().squeeze(1)
+        return outcome, observations, failed
 
     def _observe(self, sim: SimState, episode: EpisodeState) -> dict[str, Tensor]:
         observation, privileged = self.mdp.observe(sim, episode)

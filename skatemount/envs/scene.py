@@ -89,6 +89,15 @@ class Scene:
         # A copy, because the physics object frees its model when it is collected.
         return copy.copy(physics.model.ptr)
 
+    def xml(self) -> str:
+        """Return the scene as MuJoCo's XML, which compiles to the model without what is only drawn."""
+        root = self.arena.mjcf_model
+        root.compiler.discardvisual = True
+        try:
+            return str(root.to_xml_string())
+        finally:
+            root.compiler.discardvisual = False
+
     def _set_options(self, root: mjcf.RootElement) -> None:
         option = root.option
         option.timestep = self.solver.timestep

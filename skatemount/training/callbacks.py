@@ -12,6 +12,7 @@ from tensordict import TensorDictBase
 from skatemount.config.registries import CALLBACKS, HOOKS
 from skatemount.runs.loggers import Logger, as_numbers, open_loggers
 from skatemount.runs.metrics import MetricsFile
+from skatemount.training.divergence import DivergedFiles
 from skatemount.training.plots import plot_learning_curves
 from skatemount.utils.classes import made
 from skatemount.utils.decoration import Decoration
@@ -111,6 +112,9 @@ class LoggerCallback(Callback):
             trainer.run, settings.jsonl, settings.tensorboard, trainer.frames, settings.loggers
         )
         self.loggers.append(trainer.display)
+        if settings.dump_diverged:
+            files = DivergedFiles(trainer.run.path / "diverged", trainer.task.scene, settings.dump_diverged)
+            trainer.env.divergence.watch(files)
 
     def on_iteration_end(self, trainer: Trainer, metrics: dict[str, float]) -> None:
         """Log the metrics."""

@@ -329,7 +329,7 @@ class Trainer:
                 self.elapsed = already + now - started
                 if lost := self.env.physics.overflowed():
                     raise ConfigError(lost)
-                metrics |= self.env.statistics.pop()
+                metrics |= self.env.statistics.pop() | self.env.divergence.pop()
                 metrics |= {
                     "Perf/total_fps": batch_frames / (now - mark),
                     "Perf/collection_time": collected - mark,

@@ -119,6 +119,18 @@ class Physics(Protocol):
         """Restore a state from `raw_state` and compute everything that depends on it."""
         ...
 
+    def world(self, i: int, state: Any) -> tuple[mujoco.MjModel, dict[str, np.ndarray]]:
+        """Return a copy of a world's model, with the fields of its own, and its part of a state.
+
+        Args:
+            i: Index of the world.
+            state: From `raw_state`.
+
+        Returns:
+            The model, and copies of the state's arrays by their names in ``MjData``.
+        """
+        ...
+
     def state_dict(self) -> dict[str, Tensor]:
         """Return copies of everything that a step or a reset depends on, the model fields of each world included."""
         ...

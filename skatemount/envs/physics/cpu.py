@@ -28,6 +28,10 @@ _DIVERGED = [
     )
 ]
 
+_STATE = (
+    "qpos", "qvel", "ctrl", "qacc_warmstart", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat",
+)  # fmt: skip
+
 _OVERFLOWED = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 
 
@@ -158,6 +162,12 @@ class CpuPhysics:
         """Restore a state from `raw_state` and compute everything that depends on it."""
         self._batch.state[:] = state
         self._batch.forward()
+
+    def world(self, i: int, state: np.ndarray) -> tuple[mujoco.MjModel, dict[str, np.ndarray]]:
+        """Return a copy of a world's model, and its part of a state; see `Physics.world`."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_setState(self.model, data, state[i], mujoco.mjtState.mjSTATE_INTEGRATION)
+        return self._batch.get_model(i), {name: np.array(getattr(data, name)) for name in _STATE}
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return copies of all that a step or a reset depends on; see `Physics.state_dict`."""

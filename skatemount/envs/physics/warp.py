@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import sys
 from collections.abc import Callable
@@ -331,6 +332,16 @@ class WarpPhysics:
         for name, value in state.items():
             self._state[name].copy_(value)
         self._all.launch(_FORWARD)
+
+    def world(self, i: int, state: dict[str, Tensor]) -> tuple[mujoco.MjModel, dict[str, np.ndarray]]:
+        """Return a copy of a world's model, and its part of a state; see `Physics.world`."""
+        model = copy.copy(self.model)
+        for name, values in self._all.fields.items():
+            own = getattr(model, name)
+            # Single precision would make every field differ.
+            row = values[i % len(values)].cpu().numpy().reshape(own.shape)
+            own[...] = np.where(row == own.astype(row.dtype), own, row)
+        return model, {name: np.array(values[i].cpu()) for name, values in state.items()}
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return copies of all that a step or a reset depends on; see `Physics.state_dict`."""
