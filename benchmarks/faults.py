@@ -40,6 +40,7 @@ from trials.process import (  # noqa: E402
     report,
     resume,
     row,
+    without_pictures,
 )
 from trials.signals import signals  # noqa: E402
 from trials.storage import full, operations  # noqa: E402
@@ -57,7 +58,7 @@ def kills(lab: Lab) -> dict[str, Any]:
     """Kill a training at random moments, resume it, and kill it again."""
     run, times, lost = lab.new(f"total_frames={BATCH}"), lab.times or 100, []
     begun = time.monotonic()
-    forked(lambda: resume(run, 20 * BATCH), lab.log)
+    forked(lambda: (without_pictures(), resume(run, 12 * BATCH)), lab.log)
     longest = time.monotonic() - begun
     for n in range(times):
         forked(lambda: resume(run, 10**6 * BATCH), lab.log, lab.random.uniform(0, longest))

@@ -111,6 +111,7 @@ class MountEnv(EnvBase):
     def sim(self) -> SimState:
         """The present state of every world; copy a tensor before you change it in place or differentiate it."""
         if self._sim is None:
+            self._check_open()
             self._sim = self.physics.state()
         return self._sim
 
@@ -362,6 +363,9 @@ class MountEnv(EnvBase):
         if not self.is_closed:
             super().close(raise_if_closed=raise_if_closed)
             self.physics.close()
+            # The largest of the rest, which a closed environment would keep as long as it is referenced.
+            del self._queue
+            self._sim = None
 
     def _check_open(self) -> None:
         if self.is_closed:
