@@ -140,8 +140,10 @@ def plain(composed: DictConfig) -> dict[str, Any]:
     return values  # type: ignore[return-value]
 
 
-# A merge copies it, so one is enough for all compositions.
-_schema = functools.cache(OmegaConf.structured)
+@functools.cache
+def _schema(kind: type) -> DictConfig:
+    """Return a dataclass as a schema; a merge copies it, so one is enough for all compositions."""
+    return OmegaConf.structured(kind)
 
 
 def checked(

@@ -23,8 +23,10 @@ HOLD = 1.0
 """Time that the robot must have been mounted at the end of an episode, s."""
 
 
-# A merge copies it, and making it takes longer than the rest of a row.
-_schema = functools.cache(OmegaConf.structured)
+@functools.cache
+def _schema(kind: type) -> Any:
+    """Return a dataclass as a schema; a merge copies it, and making it takes longer than the rest of a row."""
+    return OmegaConf.structured(kind)
 
 
 def _terms(kind: type, table: dict[str, Any], where: str) -> dict[str, Any]:
