@@ -141,9 +141,9 @@ def plain(composed: DictConfig) -> dict[str, Any]:
 
 
 @functools.cache
-def _schema(kind: type) -> DictConfig:
-    """Return a dataclass as a schema; a merge copies it, so one is enough for all compositions."""
-    return OmegaConf.structured(kind)
+def _structured(program: str) -> DictConfig:
+    """Return the schema of a program; a merge copies it, so one is enough for all compositions."""
+    return OmegaConf.structured(PROGRAMS[program])
 
 
 def checked(
@@ -176,7 +176,7 @@ def _checked(values: dict[str, Any], program: str, untrusted: str | None, traini
     schema = PROGRAMS[program]
     _check_keys(values, schema, program)
     try:
-        result = OmegaConf.to_object(OmegaConf.merge(_schema(schema), values))
+        result = OmegaConf.to_object(OmegaConf.merge(_structured(program), values))
     except ConfigError:
         raise
     except MissingMandatoryValue as error:
