@@ -141,12 +141,45 @@ def variants(results: dict[str, Any], suite: str = "other-boards") -> str:
     return "\n".join(["", *rows, ""])
 
 
+def faults(results: dict[str, Any]) -> str:
+    """Return the table of faults that `benchmarks/faults.py` tried."""
+    lines = ["", "| fault | times tried | lost |", "|---|---|---|"]
+    for row in (row for rows in results["faults"].values() for row in rows):
+        most, mean = row["iterations_lost_most"], row["iterations_lost_mean"]
+        lost = f"at most {most} iteration{'s' * (most > 1)}, {mean:.2f} on average" if most else row["lost"]
+        named = f"; said: `{row['named']}`" if "named" in row else ""
+        kinds = f" of {row['kinds']} kinds" if "kinds" in row else ""
+        lines.append(f"| {row['fault']} | {row['times']:,}{kinds} | {lost}{named} |")
+    return "\n".join([*lines, "", ""])
+
+
+def memory(results: dict[str, Any]) -> str:
+    """Return the table of threads, open files and memory that `benchmarks/leaks.py` saw."""
+    lines = ["", "| after | threads | open files | memory |", "|---|---|---|---|"]
+    for row in results["memory"]["environments"] + results["memory"]["training"]:
+        built = row.get("environments")
+        label = f"{row.get('iterations', 0):,} iterations, {row.get('seconds', 0)} s" if built is None else built
+        after = f"training: {label}" if built is None else f"{label} environments closed"
+        lines.append(f"| {after} | {row['threads']:.0f} | {row['files']:.0f} | {row['memory_mib']:.0f} MiB |")
+    return "\n".join([*lines, "", ""])
+
+
+def growth(results: dict[str, Any]) -> str:
+    """Return the memory that a closed environment keeps while it is referenced."""
+    first, *_, last = results["memory"]["environments"]
+    more = last["memory_mib"] - first["memory_mib"]
+    return f"{1024 * more / (last['environments'] - first['environments']):.0f} KiB"
+
+
 BLOCKS: dict[str, Callable[[dict[str, Any]], str]] = {
     "provenance": provenance,
     "command": command,
     "table": table,
     "summary": summary,
     "boards": variants,
+    "faults": faults,
+    "memory": memory,
+    "growth": growth,
 }
 """Parts of one file: ``<file>/<part>``."""
 

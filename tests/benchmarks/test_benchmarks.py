@@ -34,6 +34,28 @@ def test_memory_of_worlds(repo_root: Path, tmp_path: Path) -> None:
     assert done.stdout.count("with memory of their own") == 2
 
 
+def test_faults(repo_root: Path, tmp_path: Path) -> None:
+    options = ["--times", "2", "--only", "kills", "operations", "signals", "full", "numbers"]
+    done = run(repo_root / "benchmarks" / "faults.py", *options, "--json", str(tmp_path / "a.json"))
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "a.json").read_text())["faults"]
+    assert [rows[kind][0]["times"] for kind in ("kills", "operations", "signals", "full")] == [2, 2, 2, 2]
+    assert [row["lost"] for row in rows["numbers"]] == ["an episode of one world", *["an update"] * 5]
+    assert done.stdout.count(" times; lost: ") == 10
+
+
+def test_leaks(repo_root: Path, tmp_path: Path) -> None:
+    options = ["--environments", "20", "--minutes", "0.2", "--worlds", "2", "--json", str(tmp_path / "a.json")]
+    done = run(repo_root / "benchmarks" / "leaks.py", *options)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "a.json").read_text())["memory"]
+    first, last = rows["environments"][0], rows["environments"][-1]
+    assert (first["threads"], first["files"]) == (last["threads"], last["files"])
+    # One that kept its worlds would keep about 20 MiB.
+    assert (last["memory_mib"] - first["memory_mib"]) / (last["environments"] - first["environments"]) < 3
+    assert rows["training"][-1]["threads"] == rows["training"][0]["threads"]
+
+
 def test_solver_settings_tradeoff(repo_root: Path, tmp_path: Path) -> None:
     options = [
         "--worlds",

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import datetime
 import json
+import os
 import pickle
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -97,6 +100,48 @@ def test_a_sweep_that_is_running_is_left_alone(tmp_path: Path) -> None:
             assert other.path != one.path and not other.is_old
         assert not other.path.exists()  # nothing was begun
     assert one.path.exists()
+
+
+class OneMoment(datetime.datetime):
+    """A clock that stands still."""
+
+    @classmethod
+    def now(cls, tz: Any = None) -> OneMoment:
+        return cls(2026, 1, 2, 3, 4, 5, 6)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.parametrize("kind", ["run", "sweep"])
+def test_processes_of_the_same_second_get_folders_of_their_own(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(datetime, "datetime", OneMoment)
+
+    def begin() -> None:
+        if kind == "run":
+            RunFolder.create(tmp_path, "exp", "sweep", {"stage": {"name": "s"}}, [])
+            return
+        with open_sweep(tmp_path / "exp", "sweep", "train", COMMAND, repeat=True) as found:
+            (found.path / "job").mkdir()
+            (tmp_path / f"begun_{os.getpid()}").touch()
+            while len(list(tmp_path.glob("begun_*"))) < 3:
+                pass  # the others begin while this one runs
+
+    children = []
+    for _ in range(3):
+        if not (child := os.fork()):
+            status = 1
+            try:
+                begin()
+                status = 0
+            finally:
+                os._exit(status)
+        children.append(child)
+    assert [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children] == [0, 0, 0]
+    names = sorted(path.name for path in (tmp_path / "exp").iterdir())
+    assert names == [f"2026-01-02_03-04-05_sweep{suffix}" for suffix in ("", "_2", "_3")]
+    marks = ("config.yaml", "git.diff") if kind == "run" else ("sweep.json", "job")
+    assert all((tmp_path / "exp" / name / mark).exists() for name in names for mark in marks)
 
 
 def test_damaged_files_of_a_sweep_are_passed_over(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -276,6 +277,36 @@ def test_a_start_clears_what_a_crash_left_under_its_lock(copied: RunFolder) -> N
         assert left[0].exists()
         left[0].unlink()
     assert sorted({path.name for path in copied.path.iterdir()} - {".lock"}) == sorted({*kept} - {".lock"})
+
+
+def test_only_temporaries_whose_process_has_ended_are_cleared(copied: RunFolder) -> None:
+    root = copied.path.parent.parent
+    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
+    machine = atomic._machine()
+    dead, alive, foreign = (f"{machine}-{int(ended.stdout)}-00", f"{machine}-{os.getppid()}-00", "abcdef-1-00")
+    inside = copied.path, copied.path / "checkpoints", next((copied.path / "checkpoints").iterdir())
+    gone = [root / f".latest.{dead}.tmp", *(folder / f".x.{dead}.tmp" for folder in inside)]
+    old = root / ".latest.0123abcd.tmp"
+    stays = [folder / f".latest.{owner}.tmp" for folder in (root, copied.path) for owner in (alive, foreign)]
+    stays += [root / ".mine.tmp", root / f".other.{dead}.tmp"]
+    for path in (*gone, old, *stays):
+        path.write_text("half")
+    os.utime(old, (0, 0))
+    with copied.lock():
+        assert not [path for path in (*gone, old) if path.exists()]
+        assert all(path.exists() for path in stays)
+    for path in stays:
+        path.unlink()
+
+
+def test_a_file_that_is_written_again_clears_what_killed_processes_left(tmp_path: Path) -> None:
+    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
+    left = tmp_path / f".film.mp4.{atomic._machine()}-{int(ended.stdout)}-00.tmp"
+    other = tmp_path / f".film.mp4.{atomic._machine()}-{os.getppid()}-00.tmp"
+    left.touch()
+    other.touch()
+    atomic.write_text(tmp_path / "film.mp4", "film")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([other.name, "film.mp4"])
 
 
 def test_a_run_keeps_the_path_and_the_hash_of_its_parent(copied: RunFolder) -> None:
