@@ -68,7 +68,7 @@ def _resume(where: object) -> list[str]:
 
 @contextmanager
 def naming_what_is_left(trainer: Trainer) -> Iterator[None]:
-    """Let requests to end and errors of files say what is left of a training and how to go on, for a ``with`` block.
+    """Let requests to end and errors of files name the last checkpoint and the way on, for a ``with`` block.
 
     Args:
         trainer: The training.
