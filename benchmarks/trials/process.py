@@ -18,9 +18,8 @@ os.environ["OMP_NUM_THREADS"] = "1"
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests" / "config")]
 
-from skatemount.rendering import opengl  # noqa: E402
-
-opengl.disable()
+# Nothing is drawn.
+os.environ.setdefault("MUJOCO_GL", "disable")
 
 import torch  # noqa: E402
 

@@ -87,10 +87,13 @@ def resumed(error: StorageError) -> Trainer:
     return trainer
 
 
-@pytest.mark.parametrize("file", ["policy.safetensors", "policy.json", "tensors.safetensors", "latest"])
 @pytest.mark.parametrize(
-    ("number", "advice"),
-    [(errno.ENOSPC, "No space left on device; free some space"), (errno.EROFS, "Read-only file system; make it")],
+    ("file", "number", "advice"),
+    [
+        ("policy.safetensors", errno.ENOSPC, "No space left on device; free some space there; "),
+        ("tensors.safetensors", errno.EROFS, "Read-only file system; make it writable; "),
+        ("latest", errno.ENOSPC, "No space left on device; free some space there; "),
+    ],
 )
 def test_a_checkpoint_that_cannot_be_written(
     file: str, number: int, advice: str, tmp_path: Path, refuse: Any, monkeypatch: pytest.MonkeyPatch
