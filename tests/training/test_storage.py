@@ -20,7 +20,7 @@ from skatemount.runs import atomic
 from skatemount.runs.checkpoint import load_training_state
 from skatemount.runs.folder import RunFolder
 from skatemount.train import train
-from skatemount.training import callbacks, chain, progress
+from skatemount.training import callbacks, chain, plots, progress
 from skatemount.training.callbacks import Callback, LoggerCallback
 from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
@@ -28,7 +28,15 @@ from skatemount.utils.errors import StorageError
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
+real_sync = atomic._sync
+
 SAVING = ["logger.checkpoint_every=2", "logger.tensorboard=false"]
+
+
+@pytest.fixture(autouse=True)
+def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw no learning curves, which take longer than the trainings."""
+    monkeypatch.setattr(callbacks, "plot_learning_curves", lambda *arguments: None)
 
 
 class At(Callback):
@@ -106,7 +114,7 @@ def test_a_checkpoint_that_cannot_be_written(
     assert ".tmp" not in str(error)
     assert f"{2 * BATCH} steps are saved in {saved}; go on with: " in str(error)
     assert trainer.run.latest == saved and load_training_state(saved)["progress"]["frames"] == 2 * BATCH
-    monkeypatch.undo()
+    monkeypatch.setattr(atomic, "_sync", real_sync)
     assert resumed(error).frames == 6 * BATCH
     assert not [path for path in trainer.run.path.rglob(".*.tmp")]
 
@@ -215,13 +223,16 @@ def test_a_logger_of_ones_own_warns_once(tmp_path: Path, capsys: pytest.CaptureF
     assert len(trainer.run.metrics_file.read_text().splitlines()) == 6
 
 
-def test_a_picture_that_is_a_folder_does_not_end_a_training(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    trainer = trainer_in(tmp_path, overrides=["logger.tensorboard=false", "logger.plot_every=0"])
+def test_a_picture_that_is_a_folder_does_not_end_a_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(callbacks, "plot_learning_curves", plots.plot_learning_curves)
+    trainer = trainer_in(tmp_path, overrides=["logger.tensorboard=false", "logger.plot_every=0"], frames=2 * BATCH)
     trainer.run.curves_png.mkdir()
     trainer.train()
     trainer.close()
     assert capsys.readouterr().err.count("warning: the picture of the learning curves failed") == 1
-    assert trainer.run.latest == trainer.run.checkpoint(6 * BATCH)
+    assert trainer.run.latest == trainer.run.checkpoint(2 * BATCH)
 
 
 def test_a_full_disk_does_not_stop_tensorboard_from_closing(tmp_path: Path, file_limit: Any) -> None:
