@@ -364,7 +364,7 @@ class MountEnv(EnvBase):
             super().close(raise_if_closed=raise_if_closed)
             self.physics.close()
             # The largest of the rest, which a closed environment would keep as long as it is referenced.
-            del self._queue
+            del self._queue, self._randomizer, self._pushes, self._drive, self._episode, self._privileged
             self._sim = None
 
     def _check_open(self) -> None:

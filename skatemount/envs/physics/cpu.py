@@ -203,7 +203,7 @@ class CpuPhysics:
         """Stop the threads and free the worlds; a second call does nothing."""
         # Every view of the worlds keeps the batch and its threads.
         for name, value in list(vars(self).items()):
-            if isinstance(value, np.ndarray | Batch | dict | tuple):
+            if isinstance(value, np.ndarray | Batch | mujoco.MjModel | dict | tuple):
                 delattr(self, name)
 
     def _warned(self, kinds: list[int], worlds: np.ndarray | slice = slice(None)) -> np.ndarray:
