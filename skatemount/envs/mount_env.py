@@ -18,6 +18,7 @@ from skatemount.envs.mdp import StepResult
 from skatemount.envs.physics.base import Physics, StartState
 from skatemount.envs.physics.factory import make_physics
 from skatemount.envs.randomization import Pushes, Randomizer
+from skatemount.envs.rolling import RollingResistance
 from skatemount.envs.starts import StartPoseSampler, StartQueue, StartTransform
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.task import MountTask
@@ -90,7 +91,8 @@ class MountEnv(EnvBase):
         self.mdp = task.make_mdp(self.generator)
         if max_mounted_time is not None:
             self.mdp.max_mounted_time = max_mounted_time
-        self._drive = Drive(task.config.start.drive, physics.model, physics.index)
+        self._resistance = RollingResistance(task.config.board.rolling_resistance, physics.model, physics.index)
+        self._drive = Drive(task.config.start.drive, self._resistance)
         self.statistics = EpisodeStatistics(self.mdp, n)
         self.listeners: list[Listener] = [self.statistics.add]
         self._sample_poses: StartPoseSampler | None = None
@@ -222,6 +224,8 @@ class MountEnv(EnvBase):
     def _begin(self, mask: Tensor, rows: Tensor, start: StartState) -> dict[str, Tensor]:
         with torch.inference_mode():
             self._randomizer.new_episodes(self.physics, rows)
+            if self._resistance.active:
+                self._resistance.restart(self.physics, rows)
             self.physics.reset(mask, start)
             self.divergence.begin(rows)
             if self._pushes.active:
@@ -298,6 +302,8 @@ class MountEnv(EnvBase):
         """
         if self._pushes.active:
             self.physics.push(*self._pushes.due())
+        if self._resistance.active:
+            self._resistance.apply(self.physics, self.sim)
         if self._drive.active:
             self.physics.pull_board(self._drive.force(self.sim))
         targets = self.mdp.targets(action)

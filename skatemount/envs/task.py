@@ -21,6 +21,7 @@ from skatemount.envs.mdp import Mdp, StepResult
 from skatemount.envs.physics.base import StartState
 from skatemount.envs.physics.board_start import BoardStart
 from skatemount.envs.randomization import Pushes, Randomizer
+from skatemount.envs.rolling import RollingResistance
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.starts import StartPoseSampler, StartSampler
 from skatemount.envs.state import EpisodeState, SimState, StateReader
@@ -133,7 +134,8 @@ class MountTask(composer.Task):
         """Look up the ids of the compiled scene, and copy its nominal values."""
         self._index = SceneIndex.of(self.scene, physics.model.ptr)
         self._nominal = copy.copy(physics.model.ptr)
-        self._drive = Drive(self.config.start.drive, self._nominal, self._index)
+        self._resistance = RollingResistance(self.config.board.rolling_resistance, self._nominal, self._index)
+        self._drive = Drive(self.config.start.drive, self._resistance)
         self._sim = None
 
     @plain_defaults
@@ -156,6 +158,8 @@ class MountTask(composer.Task):
             start: One start state.
         """
         index, data = self._index, physics.data
+        if self._resistance.active:
+            self._resistance.restart(_SingleWorld(physics), torch.zeros(1, dtype=torch.int64))
         data.qpos[index.base_qpos] = torch.cat((start.base_pos[0], start.base_quat[0]))
         data.qpos[index.joint_qpos] = start.joint_pos[0]
         data.qvel[:] = float(start.board_speed[0]) * index.rolling
@@ -178,14 +182,19 @@ class MountTask(composer.Task):
     @plain_defaults
     def before_step(self, physics: Any, action: np.ndarray, random_state: np.random.RandomState) -> None:
         """Convert the action to joint position targets and push the robot if a push is due."""
+        sim = self._state(physics) if self._sim is None else self._sim
+        if self._resistance.active:
+            self._resistance.apply(_SingleWorld(physics), sim)
         if self._outcome is None:
             # Composer computed the reset state with the actuators off, so it is computed again with them on.
             physics.data.qacc_warmstart[:] = 0.0
             physics.forward()
+        elif self._resistance.active:
+            # Composer's step continues from constraints that it computed with the friction of the last step.
+            mujoco.mj_step1(physics.model.ptr, physics.data.ptr)
         if self._pushes is not None and self._pushes.active:
             self._push(physics, *self._pushes.due())
         if self._drive.active:
-            sim = self._state(physics) if self._sim is None else self._sim
             physics.data.xfrc_applied[self._index.board_body, :3] = self._drive.force(sim)[0]
         self._action = torch.as_tensor(np.asarray(action), dtype=torch.float32).reshape(1, -1)
         physics.data.ctrl[self._index.actuators] = self._mdp.targets(self._action)[0]

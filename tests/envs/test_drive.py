@@ -10,8 +10,8 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from skatemount.envs import MountEnv, MountTask
-from skatemount.envs.drive import Drive, rolling_resistance
-from skatemount.envs.scene import SceneIndex
+from skatemount.envs.drive import Drive
+from skatemount.envs.rolling import RollingResistance
 
 # The trucks are so stiff that a robot without a policy stands for long.
 RIDE = ["start.board_fixed=0", "start.board_speed=[1.0,1.0]", "start.move_with_board=true", "board.truck_stiffness=300"]
@@ -37,22 +37,18 @@ def speeds(env: MountEnv, seconds: float = SECONDS) -> Tensor:
     return torch.stack(seen)
 
 
-def test_the_resistance_is_that_of_the_wheels_bearings() -> None:
-    task = MountTask(overrides=["board.wheel_friction=0.002", "board.wheel_damping=3e-5"])
-    model = task.scene.compile(visuals=False)
-    dry, viscous = rolling_resistance(model, SceneIndex.of(task.scene, model))
-    assert dry == pytest.approx(4 * 0.002 / 0.025) and viscous == pytest.approx(4 * 3e-5 / 0.025**2)
+def resistance(env: MountEnv) -> RollingResistance:
+    return RollingResistance(env.task.config.board.rolling_resistance, env.physics.model, env.physics.index)
 
 
-@pytest.mark.parametrize("friction", [0.0015, 0.009])
+@pytest.mark.parametrize("coefficient", [0.0, 0.01])
 def test_a_driven_board_keeps_its_speed_and_another_does_not(
-    make_env: Make, friction: float, capsys: pytest.CaptureFixture[str]
+    make_env: Make, coefficient: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """0.009 N m is about 1 % of the load."""
-    ride = [*RIDE, f"board.wheel_friction={friction}"]
+    ride = [*RIDE, f"board.rolling_resistance={coefficient}"]
     driven = speeds(make_env("balance", 2, [*ride, "start.drive=true"]))
     env = make_env("balance", 2, ride)
-    seconds = SECONDS if friction < 0.005 else 2.0
+    seconds = 2.0 if coefficient else SECONDS
     free = speeds(env, seconds)
     with capsys.disabled():
         print(
@@ -62,10 +58,9 @@ def test_a_driven_board_keeps_its_speed_and_another_does_not(
     assert float((driven[-1] - 1).abs().max()) < 0.01
     assert float((driven[50:] - 1).abs().max()) < 0.03
     # Without it, the board loses what the formula says.
-    dry, viscous = rolling_resistance(env.physics.model, env.physics.index)
-    bodies = [*env.physics.index.robot_bodies, *range(env.physics.model.nbody)]
-    mass = float(env.physics.model.body_mass[sorted(set(bodies))].sum())
-    lost = seconds * (dry + viscous) / mass
+    mass = float(env.physics.model.body_mass.sum())
+    bearings = 4 * (0.0015 / 0.025 + 1e-5 / 0.025**2)
+    lost = seconds * (coefficient * 9.81 + bearings / mass)
     assert (free[0] - free[-1]).tolist() == pytest.approx([lost, lost], rel=0.15)
 
 
@@ -77,13 +72,13 @@ def test_the_force_turns_with_the_board_and_only_a_rolling_free_board_is_driven(
     sim.board_rot = turned.expand(4, 3, 3)
     sim.board_lin_vel = torch.tensor([[0.0, 1.0, 0.2], [0.3, -0.5, 0.0], [0.0, 0.01, 0.0], [0.0, 1.0, 0.0]])
     sim.board_fixed = torch.tensor([False, False, False, True])
-    dry, viscous = rolling_resistance(env.physics.model, env.physics.index)
-    force = Drive(True, env.physics.model, env.physics.index).force(sim)
-    expected = [[0, dry + viscous, 0], [0, -(dry + viscous * 0.5), 0], [0, 0, 0], [0, 0, 0]]
+    dry, viscous = resistance(env).dry(sim).tolist(), resistance(env).viscous
+    force = Drive(True, resistance(env)).force(sim)
+    expected = [[0, dry[0] + viscous, 0], [0, -(dry[1] + viscous * 0.5), 0], [0, 0, 0], [0, 0, 0]]
     torch.testing.assert_close(force, torch.tensor(expected))
     # A deck that points uphill is pushed along the floor.
     sim.board_rot = torch.tensor([[0.8, 0.0, -0.6], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8]]).expand(4, 3, 3)
-    assert (Drive(True, env.physics.model, env.physics.index).force(sim)[:, 2] == 0).all()
+    assert (Drive(True, resistance(env)).force(sim)[:, 2] == 0).all()
 
 
 @pytest.mark.parametrize("physics", ["cpu", "warp"])
@@ -97,8 +92,7 @@ def test_both_engines_pull_the_board(make_env: Make, physics: str) -> None:
     env.physics.pull_board(torch.tensor([[3.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
     env.physics.step(env.mdp.targets(torch.zeros(2, 12)), 4)
     gained = env.physics.state().board_lin_vel[:, 0] - before
-    dry, _ = rolling_resistance(env.physics.model, env.physics.index)
-    expected = (3.0 - dry) * env.mdp.context.control_step / env.task.config.board.mass
+    expected = (3.0 - 4 * 0.0015 / 0.025) * env.mdp.context.control_step / env.task.config.board.mass
     assert float(gained[0]) == pytest.approx(expected, rel=0.1) and float(gained[1].abs()) < 1e-3
 
 

@@ -35,6 +35,7 @@ class SkateboardConfig:
     wheel_stiffness: float = field(metadata=number(0, 10_000, "N m/rad"))
     wheel_damping: float = field(metadata=number(0, 1000, "N m s/rad"))
     wheel_friction: float = field(metadata=number(0, 100, "N m"))
+    rolling_resistance: float = field(metadata=number(0, 0.5))
     wheel_armature: float = field(metadata=number(0, 1, "kg m2"))
     wheel_grip: float = field(metadata=number(0, 10))
     deck_friction: float = field(metadata=number(0, 10))

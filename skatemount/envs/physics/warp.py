@@ -22,7 +22,15 @@ from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState, StateReader
 from skatemount.utils.devices import choose_device
 
-RANDOMIZED = ("geom_friction", "jnt_stiffness", "body_mass", "body_inertia", "body_ipos", "actuator_gainprm")
+OF_WORLDS = (
+    "geom_friction",
+    "jnt_stiffness",
+    "dof_frictionloss",
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "actuator_gainprm",
+)
 """Model fields that have a value for each world."""
 DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
 """Model fields that are computed from masses and inertias, and so also have a value for each world."""
@@ -76,7 +84,7 @@ class _Worlds:
         self.num_worlds = num_worlds
         self._device, self._warp_device = device, wp.device_from_torch(device)
         with wp.ScopedDevice(self._warp_device):
-            self.model = mjw.put_model(model, dict.fromkeys((*RANDOMIZED, *DERIVED), num_worlds))
+            self.model = mjw.put_model(model, dict.fromkeys((*OF_WORLDS, *DERIVED), num_worlds))
             # `overflowed` reports an overflow. Warp would print a line per world and step.
             self.model.opt.warn_overflow = 0
             # For each contact sensor of each world, mujoco_warp launches a block that sorts contacts, even where forces
@@ -84,7 +92,7 @@ class _Worlds:
             self.model.opt.contact_sensor_maxmatch = max(1, contacts // _SENSOR_SHARE)
             self.model.block_dim.contact_sort = 32
             self.data = mjw.make_data(model, num_worlds, naconmax=contacts * (num_worlds + spare), njmax=constraints)
-        self.fields = {name: wp.to_torch(getattr(self.model, name)) for name in (*RANDOMIZED, *DERIVED)}
+        self.fields = {name: wp.to_torch(getattr(self.model, name)) for name in (*OF_WORLDS, *DERIVED)}
         self.state = {name: wp.to_torch(getattr(self.data, name)) for name in STATE}
         self.results = {name: wp.to_torch(getattr(self.data, name)) for name in RESULTS}
         self.overflow = wp.to_torch(self.data.overflow)
@@ -294,8 +302,8 @@ class WarpPhysics:
         Raises:
             KeyError: The field is the same in every world.
         """
-        if name not in RANDOMIZED:
-            raise KeyError(f"{name} is not among the fields that differ from world to world: {', '.join(RANDOMIZED)}")
+        if name not in OF_WORLDS:
+            raise KeyError(f"{name} is not among the fields that differ from world to world: {', '.join(OF_WORLDS)}")
         return self._all.fields[name]
 
     def refresh_constants(self) -> None:
