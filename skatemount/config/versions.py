@@ -57,7 +57,9 @@ ADDED: dict[str, Any] = {
 ADDED_LATER: dict[str, Any] = {
     "algorithm.kind": "ppo",
     "algorithm.params": {},
+    "board.rolling_resistance": 0.0,
     "callbacks": [],
+    "command.board_point": "deck",
     "logger.dump_diverged": 0,
     "logger.loggers": [],
     "network.kind": "mlp",
@@ -98,7 +100,6 @@ def upgrade(values: dict[str, Any]) -> dict[str, Any]:
         _add(values, ADDED)
     if saved < 4:
         _add(values, ADDED_LATER)
-    if saved < 4:
         _rename_values(values)
     return values
 

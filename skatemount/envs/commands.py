@@ -13,21 +13,25 @@ from skatemount.envs.state import EpisodeState, SimState
 from skatemount.utils.classes import made
 
 
-def toward_board(sim: SimState, direction: Tensor | None = None) -> Tensor:
+def toward_board(sim: SimState, direction: Tensor | None = None, depth: float = 0.0) -> Tensor:
     """Compute the velocity command toward the board by the law of the paper's code.
 
-    Let p be the board's position in the trunk frame, psi its yaw and theta the bearing of p. Within 0.5 m the command
+    Let p be the board's position in the trunk frame, psi its yaw, and theta the bearing of p. Within 0.5 m the command
     is (2 p_x, 2 p_y, psi / pi), farther away it is (1 - |theta| / pi, 0, theta / pi).
 
     Args:
         sim: The state.
         direction: ``[N, 1]`` the end of the board that psi is the yaw of, as in `EpisodeState.board_direction`. If
             None, the end that the board's x axis points to (paper's code).
+        depth: Distance of p below the center of the deck's top, along the board's z axis, m. The height of the deck
+            gives the point on the ground that the paper's code uses.
 
     Returns:
         ``[N, 3]``: forward and left in m/s, turn left in rad/s.
     """
     position, x_axis = sim.board_pos_base, sim.board_rot_base[..., 0]
+    if depth:
+        position = position - depth * sim.board_rot_base[..., 2]
     if direction is not None:
         x_axis = x_axis * direction
     yaw = torch.atan2(x_axis[:, 1], x_axis[:, 0]) / math.pi
@@ -45,10 +49,14 @@ class CommandGenerator:
         config: Settings of the commands.
         control_step: Time between two actions, s.
         generator: Source of randomness.
+        deck_height: Height of the deck's top above the floor at rest, m.
     """
 
-    def __init__(self, config: CommandConfig, control_step: float, generator: torch.Generator):
+    def __init__(
+        self, config: CommandConfig, control_step: float, generator: torch.Generator, deck_height: float = 0.0
+    ):
         config.validate()
+        self._depth = deck_height if config.board_point == "ground" else 0.0
         self._config = config
         self._steps = max(1, round(config.resample / control_step))
         self._generator = generator
@@ -67,7 +75,8 @@ class CommandGenerator:
         if self._own is not None:
             self._own.update(sim, episode)
         elif self._config.mode == "board":
-            episode.command = toward_board(sim, episode.board_direction if self._config.turn_to == "nearer" else None)
+            direction = episode.board_direction if self._config.turn_to == "nearer" else None
+            episode.command = toward_board(sim, direction, self._depth)
         elif self._config.mode == "sampled":
             due = episode.command_steps <= 0
             episode.command = torch.where(due.unsqueeze(1), self._draw(len(due)), episode.command)

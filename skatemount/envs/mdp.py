@@ -89,7 +89,9 @@ class Mdp:
         self.memory = TermMemory(
             [*self.rewards.memory, *self.terminations.memory, *observing], observing, self.context, self.device
         )
-        self._command_generator = CommandGenerator(config.command, self.context.control_step, generator)
+        self._command_generator = CommandGenerator(
+            config.command, self.context.control_step, generator, self.context.deck_height
+        )
         # The time constant of `EpisodeState.soft_success` is 0.35 s.
         self._soft_success_decay = math.exp(-self.context.control_step / 0.35)
         self.definition = TASKS.get(config.success)

@@ -56,6 +56,21 @@ def test_which_end_to_turn_to(turn_to: str, turn: float, make_state: MakeState, 
     assert float(episode.command[0, 2]) == pytest.approx(turn / math.pi, abs=1e-6)
 
 
+def test_which_point_of_the_board_it_leads_to(make_state: MakeState, make_episode: MakeEpisode) -> None:
+    """From a trunk that is pitched by 0.5 rad, the ground below the deck is 0.1 sin(0.5) m from the deck."""
+    sim = make_state(base=(0.0, 0.0, 0.3), base_rpy=(0, 0.5, 0), board=(0.1, 0.0, 0.1))
+    commands = {}
+    for point in ("deck", "ground"):
+        episode = make_episode(sim)
+        config = defaults.command(board_point=point)
+        CommandGenerator(config, STEP, torch.Generator(), deck_height=0.1).update(sim, episode)
+        commands[point] = episode.command[0]
+    moved = commands["ground"] - commands["deck"]
+    assert moved.tolist() == pytest.approx([2 * 0.1 * math.sin(0.5), 0, 0], abs=1e-6)
+    with pytest.raises(ConfigError, match=r"^command\.board_point=roof must be one of deck, ground"):
+        commander(board_point="roof")
+
+
 def test_modes(make_state: MakeState) -> None:
     sim = make_state(base=(-1.0, 0.0, 0.3))
     episode = EpisodeState.zeros(1, defaults.LAYOUT)

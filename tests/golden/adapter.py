@@ -23,8 +23,28 @@ from skatemount.losses.ppo import PPO
 from skatemount.training.setup import make_networks
 
 
+BEARINGS = {0.025: 0.0015, 0.035: 0.0022, 0.0295: 0.0016}
+"""Friction of a wheel's bearing by the radius of the wheel, when nothing else braked a board."""
+
+PHYSICS = f"board.rolling_resistance=0 board.wheel_friction={BEARINGS[0.025]} command.board_point=deck"
+"""The physics of that commit, as settings of today; later versions have other defaults."""
+
+
+def training_line(line: str) -> str:
+    """Return the command line that trains with the physics of that commit."""
+    return f"{line} {PHYSICS}"
+
+
+def _as_then(config: configuration.TrainConfig) -> configuration.TrainConfig:
+    """Return settings with the physics of that commit."""
+    config.board.rolling_resistance, config.command.board_point = 0.0, "deck"
+    if config.board.wheel_friction:
+        config.board.wheel_friction = BEARINGS[config.board.wheel_radius]
+    return config
+
+
 def _compose(line: str) -> configuration.TrainConfig:
-    return configuration.compose(None, line.split())
+    return _as_then(configuration.compose(None, line.split()))
 
 
 def settings(line: str) -> dict[str, Any]:
@@ -37,7 +57,7 @@ def suite_settings(suite: str, policy: str) -> dict[str, dict[str, Any]]:
     agent, found = TrainedPolicy.load(f"pretrained:{policy}"), load_suite(suite)
     variants = found.variants or {"": []}
     return {
-        name: configuration.to_dict(evaluation_config(agent.config, found, [], variant=each))
+        name: configuration.to_dict(_as_then(evaluation_config(agent.config, found, [], variant=each)))
         for name, each in variants.items()
     }
 
@@ -57,7 +77,9 @@ def episodes(suite: str, count: int) -> tuple[dict[str, np.ndarray], list[str]]:
     tasks = [replace(TASKS.get(n), metrics=metrics, score={}, overview=(), progress=()) for n in TASKS.names()]
     TASKS.restore(({task.name: task for task in tasks}, saved[1]))
     try:
-        result = EvaluationTask.of(TrainedPolicy.load("pretrained:best"), load_suite(suite)).evaluate(count)
+        task = EvaluationTask.of(TrainedPolicy.load("pretrained:best"), load_suite(suite))
+        task.configs = {name: _as_then(config) for name, config in task.configs.items()}
+        result = task.evaluate(count)
     finally:
         TASKS.restore(saved)
     renamed = {"time_to_mount": "mount_time", "feet_on_board": "feet", "board_displacement": "displacement"}

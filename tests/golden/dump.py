@@ -109,7 +109,7 @@ def weights(adapter: Any, out: Path) -> None:
     """Write the weights that short trainings end with, by the command line alone."""
     for name, line in commands.WEIGHTS.items():
         root = out / "runs" / name
-        train(line, root)
+        train(getattr(adapter, "training_line", str)(line), root)
         made = {}
         for file in sorted(root.rglob("policy.safetensors")):
             part = file.relative_to(root).parts[2]

@@ -16,6 +16,7 @@ COMMANDS = ClassRegistry(
 """Commands of plugins by ``command.mode``: classes with the constructor and the `update` of `CommandGenerator`."""
 
 ENDS = ("nearer", "front")
+POINTS = ("deck", "ground")
 
 
 @dataclass
@@ -26,6 +27,8 @@ class CommandConfig:
         mode: ``sampled`` from the ranges, ``board`` (toward the board, see `skatemount.envs.commands.toward_board`),
             ``zero``, the name of a plugin's, or ``module:Class`` of your own.
         turn_to: End of the board to turn to when commanded toward it: the ``nearer`` end, or its ``front`` (paper).
+        board_point: Point of the board that the command leads to: the center of the ``deck``'s top, or the point on the
+            ``ground`` below it (paper). They differ where the board or the robot leans.
         forward: Range of the forward velocity, m/s.
         left: Range of the velocity to the left, m/s.
         turn: Range of the turning rate, rad/s.
@@ -36,6 +39,7 @@ class CommandConfig:
 
     mode: str
     turn_to: str
+    board_point: str
     forward: list[float] = field(metadata=interval(-20, 20, "m/s"))
     left: list[float] = field(metadata=interval(-20, 20, "m/s"))
     turn: list[float] = field(metadata=interval(-50, 50, "rad/s"))
@@ -48,4 +52,6 @@ class CommandConfig:
         COMMANDS.check_name(self.mode, f"{where}.mode")
         if self.turn_to not in ENDS:
             raise ConfigError(f"{where}.turn_to={self.turn_to} must be one of {', '.join(ENDS)}")
+        if self.board_point not in POINTS:
+            raise ConfigError(f"{where}.board_point={self.board_point} must be one of {', '.join(POINTS)}")
         check_bounds(self, where)
