@@ -44,7 +44,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "solver tolerance 1e-5": {"tolerance": 1e-5},
     "4 line search iterations": {"ls_iterations": 4},
     "solver CG": {"solver": "CG"},
-    "elliptic cones": {"cone": "elliptic"},
+    "elliptic cones, 50 line search iterations": {"cone": "elliptic", "ls_iterations": 50},
     "8 steps of 5 ms": {"timestep": 0.005, "substeps": 8},
     "3 steps of 13.3 ms": {"timestep": 0.04 / 3, "substeps": 3},
     "2 steps of 20 ms": {"timestep": 0.02, "substeps": 2},

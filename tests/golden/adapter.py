@@ -23,10 +23,7 @@ from skatemount.losses.ppo import PPO
 from skatemount.training.setup import make_networks
 
 
-BEARINGS = {0.025: 0.0015, 0.035: 0.0022, 0.0295: 0.0016}
-"""Friction of a wheel's bearing by the radius of the wheel, when nothing else braked a board."""
-
-PHYSICS = f"board.rolling_resistance=0 board.wheel_friction={BEARINGS[0.025]} command.board_point=deck"
+PHYSICS = "command.board_point=deck"
 """The physics of that commit, as settings of today; later versions have other defaults."""
 
 
@@ -37,9 +34,7 @@ def training_line(line: str) -> str:
 
 def _as_then(config: configuration.TrainConfig) -> configuration.TrainConfig:
     """Return settings with the physics of that commit."""
-    config.board.rolling_resistance, config.command.board_point = 0.0, "deck"
-    if config.board.wheel_friction:
-        config.board.wheel_friction = BEARINGS[config.board.wheel_radius]
+    config.command.board_point = "deck"
     return config
 
 

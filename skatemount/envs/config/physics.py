@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from skatemount.utils.bounds import check_bounds, number
 from skatemount.utils.errors import ConfigError
 
+ELLIPTIC_LS_ITERATIONS = 50
+"""Smallest number of line-search iterations with which elliptic cones converge; with 10, a trained policy fails."""
 ENGINES = ("cpu", "warp")
 _DEVICE = re.compile(r"auto|cpu|cuda(:\d{1,2})?")
 
@@ -47,6 +49,11 @@ class SolverConfig:
         for name, known in (("solver", ("Newton", "CG", "PGS")), ("cone", ("pyramidal", "elliptic"))):
             if getattr(self, name) not in known:
                 raise ConfigError(f"{where}.{name}={getattr(self, name)} must be one of {', '.join(known)}")
+        if self.cone == "elliptic" and self.ls_iterations < ELLIPTIC_LS_ITERATIONS:
+            raise ConfigError(
+                f"{where}.cone=elliptic needs {where}.ls_iterations of at least {ELLIPTIC_LS_ITERATIONS}, not "
+                f"{self.ls_iterations}"
+            )
 
 
 @dataclass
