@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from skatemount.envs import MountEnv, MountTask
+from skatemount.envs import MountEnv
 from skatemount.envs.drive import Drive
 from skatemount.envs.rolling import RollingResistance
 

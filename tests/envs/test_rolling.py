@@ -74,5 +74,7 @@ def test_a_new_episode_does_not_begin_with_the_friction_of_the_last_one(make_env
     assert (friction > 1.5 * BEARING).all()
     env.reset(TensorDict({"_reset": torch.tensor([[True], [False], [True]])}, [3]))
     now = env.physics.field("dof_frictionloss")[:, wheels]
-    torch.testing.assert_close(now[[0, 2]].double(), torch.full((2, 4), BEARING, dtype=torch.float64), rtol=1e-5, atol=0)
+    torch.testing.assert_close(
+        now[[0, 2]].double(), torch.full((2, 4), BEARING, dtype=torch.float64), rtol=1e-5, atol=0
+    )
     assert torch.equal(now[1], friction[1])

@@ -76,7 +76,8 @@ def test_it_stands_for_a_second(run: Callable[..., subprocess.CompletedProcess[s
 def test_a_robot_whose_plugin_is_missing_is_one_line(run: Callable[..., subprocess.CompletedProcess[str]]) -> None:
     done = run("-m", "skatemount", "train", "--config-dir", "conf", "stage=balance", "robot=go1")
     assert done.returncode == 2
-    assert done.stderr == "skatemount.train: robot.variant=go1 must be one of unitree, isaac, go2\n"
+    said = "robot.variant=go1 must be one of a1, a1_isaac, go2; one of your own needs plugins=[<module>]"
+    assert done.stderr.endswith(f"go1.yaml, line 6: {said}\n") and done.stderr.count("\n") == 1
 
 
 def test_the_readmes_commands_train_and_evaluate_it(

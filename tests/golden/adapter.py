@@ -22,7 +22,6 @@ from skatemount.evaluation.suite_task import EvaluationTask, evaluation_config, 
 from skatemount.losses.ppo import PPO
 from skatemount.training.setup import make_networks
 
-
 PHYSICS = "command.board_point=deck"
 """The physics of that commit, as settings of today; later versions have other defaults."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -58,7 +59,7 @@ def test_commands_name_the_modules_that_they_import(tmp_path: Path) -> None:
     run = made(tmp_path)
     for line in next_commands(run).splitlines()[1:]:
         assert "plugins=[my_nets]" in shlex.split(line)
-    assert what_is_left(run, 8) == (
+    assert what_is_left(SimpleNamespace(run=run, saved_frames=8, frames=8, stopping=False)) == (
         f"8 steps are saved in {run.latest}; go on with: python -m skatemount.train resume={run.path} "
         "'plugins=[my_nets,my_hooks.mine]'"
     )

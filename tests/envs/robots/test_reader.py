@@ -200,7 +200,7 @@ def test_an_mjcf_is_read_in_the_order_of_its_motors(tmp_path: Path) -> None:
         ),
         ("<freejoint/>", '<freejoint/><body name="tail"><joint name="t"/><geom size="0.1"/></body>', "4 legs, not 5"),
         ('mass="0.6"', 'mass="0"', "mass"),
-        ("<mujoco", "<mujoc", "mujoc"),
+        ("<mujoco", "<mujoc", "must be a URDF or an MJCF"),
     ],
 )
 def test_what_does_not_fit_is_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
