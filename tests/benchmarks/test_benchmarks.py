@@ -34,6 +34,7 @@ def test_memory_of_worlds(repo_root: Path, tmp_path: Path) -> None:
     assert done.stdout.count("with memory of their own") == 2
 
 
+@pytest.mark.nightly
 def test_faults(repo_root: Path, tmp_path: Path) -> None:
     options = ["--times", "2", "--only", "kills", "operations", "signals", "full", "numbers"]
     done = run(repo_root / "benchmarks" / "faults.py", *options, "--json", str(tmp_path / "a.json"))
