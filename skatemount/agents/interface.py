@@ -101,7 +101,9 @@ def _other_robot(card: PolicyCard, task: MountTask) -> str | None:
     if theirs is None or theirs == ours:
         return None
     files = [name for name in choices("robot") if robot_of(name) == theirs]
-    choice = f"robot={theirs if theirs in files or not files else files[0]}" if files else f"robot.variant={theirs}"
+    if theirs in files:
+        files = [theirs]
+    choice = f"robot={files[0]}" if files else f"robot.variant={theirs}"
     return f"it was trained with another robot, {theirs}, than the task's {ours}; give {choice}"
 
 

@@ -1,4 +1,4 @@
-"""What is wrong with a file of the user's own groups is one line, with the file and the line."""
+"""An error in one of the user's own files is one line that names the file and the line."""
 
 from __future__ import annotations
 
