@@ -15,10 +15,12 @@ import argparse
 import csv
 import json
 import os
+import signal
 import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -43,8 +45,8 @@ def main() -> None:
     parser.add_argument("commit", help="the other version")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to compare (default: all)")
     parser.add_argument("--no-speed", action="store_true", help="leave out the timing")
-    parser.add_argument("--rounds", type=int, default=5, help="timed trainings of each version, in turn (default 5)")
-    parser.add_argument("--iterations", type=int, default=8, help="of each timed training (default 8)")
+    parser.add_argument("--rounds", type=int, default=8, help="turns of each version's training (default 8)")
+    parser.add_argument("--iterations", type=int, default=3, help="timed in each turn (default 3)")
     parser.add_argument("--least", type=float, default=0.98, help="ratio of speeds that is demanded (default 0.98)")
     options = parser.parse_args()
     failed = False
@@ -95,36 +97,87 @@ def environment(tree: Path) -> dict[str, str]:
 
 
 def speed_ratio(other: Path, rounds: int, iterations: int) -> float:
-    """Train with both versions in turn, print their speeds, and return the ratio of the medians, ours by theirs."""
-    speeds: dict[str, list[float]] = {"theirs": [], "ours": []}
-    for i in range(rounds):
-        # The order alternates: a machine that slows down during a round must not favor one version.
-        order = [("theirs", other), ("ours", ROOT)]
-        for name, tree in order if i % 2 == 0 else reversed(order):
-            speeds[name].append(training_speed(tree, iterations))
-            print(f"  round {i + 1}, {name}: {speeds[name][-1]:,.0f} steps/s", flush=True)
-    theirs, ours = (statistics.median(speeds[name]) for name in ("theirs", "ours"))
-    print(f"training speed, median of {rounds}: {ours:,.0f} / {theirs:,.0f} steps/s = {ours / theirs:.3f}")
-    return ours / theirs
+    """Train with both versions in turn, and return the median over the rounds of their ratio of speeds, ours by theirs.
+
+    Both trainings run all the time, but only one at once; the other one is stopped. So the two speeds of a round are
+    measured within seconds of each other. The speed of a shared machine can change by a fifth in a minute.
+    """
+    ratios = []
+    with paused_training(other) as theirs, paused_training(ROOT) as ours:
+        for i in range(rounds):
+            # The order alternates: a machine that slows down during a round must not favor one version.
+            turns = [theirs, ours] if i % 2 == 0 else [ours, theirs]
+            speeds = {training: training.speed(iterations) for training in turns}
+            mine, other_s = speeds[ours], speeds[theirs]
+            ratios.append(mine / other_s)
+            print(f"  round {i + 1}: {mine:,.0f} / {other_s:,.0f} steps/s = {ratios[-1]:.3f}", flush=True)
+    print(f"training speed, median of {rounds} ratios: {statistics.median(ratios):.3f}")
+    return statistics.median(ratios)
 
 
-def training_speed(tree: Path, iterations: int) -> float:
-    """Return the median speed of a training's iterations, all but the first two, in environment steps a second."""
-    with tempfile.TemporaryDirectory() as root:
-        line = SPEED.format(frames=iterations * ITERATION)
-        command = [sys.executable, "-m", "skatemount.train", *line.split(), f"logger.root={root}"]
-        done = subprocess.run(command, env=environment(tree), capture_output=True, text=True, cwd=tree)
-        if done.returncode:
-            sys.exit(f"{' '.join(command)}\n{done.stdout}\n{done.stderr}")
-        return statistics.median(rates(Path(root))[2:])
+@contextmanager
+def paused_training(tree: Path) -> Iterator[PausedTraining]:
+    """Start a training with the code of a tree, stop it after its first two iterations, and end it with the block."""
+    with tempfile.TemporaryDirectory() as folder:
+        training = PausedTraining(tree, Path(folder))
+        try:
+            training.run(2)
+            yield training
+        finally:
+            training.end()
+
+
+class PausedTraining:
+    """A training that is stopped (SIGSTOP) unless `run` or `speed` lets it go on.
+
+    Args:
+        tree: The code.
+        folder: For its run folder and its output.
+    """
+
+    def __init__(self, tree: Path, folder: Path):
+        self._root, self._output = folder / "runs", folder / "output"
+        command = [sys.executable, "-m", "skatemount.train", *SPEED.format(frames=10**9).split()]
+        with self._output.open("w") as output:
+            self._process = subprocess.Popen(
+                [*command, f"logger.root={self._root}"],
+                env=environment(tree),
+                cwd=tree,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    def run(self, iterations: int) -> list[float]:
+        """Let the training go on for some iterations, and return their speeds, steps/s."""
+        before = len(self._rates())
+        os.killpg(self._process.pid, signal.SIGCONT)
+        while len(done := self._rates()) < before + iterations:
+            if self._process.poll() is not None:
+                sys.exit(self._output.read_text())
+            time.sleep(0.02)
+        os.killpg(self._process.pid, signal.SIGSTOP)
+        return done[before : before + iterations]
+
+    def speed(self, iterations: int) -> float:
+        """Run for some iterations and one before them, in which the training was stopped; return their mean speed."""
+        return statistics.harmonic_mean(self.run(iterations + 1)[1:])
+
+    def end(self) -> None:
+        """End the training."""
+        os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+
+    def _rates(self) -> list[float]:
+        return rates(self._root) if any(self._root.glob("*/*/metrics.*")) else []
 
 
 def rates(root: Path) -> list[float]:
-    """Return the speed of every iteration of the one run in a folder."""
+    """Return the speed of every iteration of the one run in a folder; an unfinished last line does not count."""
     (file,) = root.glob("*/*/metrics.*")
-    with file.open(encoding="utf-8") as lines:
-        rows = map(json.loads, lines) if file.suffix == ".jsonl" else csv.DictReader(lines)
-        return [float(row["Perf/total_fps"]) for row in rows]
+    lines = [line for line in file.read_text(encoding="utf-8").splitlines(keepends=True) if line.endswith("\n")]
+    rows = map(json.loads, lines) if file.suffix == ".jsonl" else csv.DictReader(lines)
+    return [float(row["Perf/total_fps"]) for row in rows]
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from skatemount.losses.base import Algorithm, NotFinite
 from skatemount.losses.concurrent import ConcurrentCritic
 from skatemount.losses.config import AlgorithmConfig
 from skatemount.models.base import Networks
+from skatemount.utils.devices import torch_threads
 from skatemount.utils.errors import ConfigError
 
 KL_STATES = 4096
@@ -166,10 +167,6 @@ class PPO(Algorithm):
             FloatingPointError: The batch is not finite, and nothing has changed; or the loss or the gradient is not
                 finite, and the weights are those before that minibatch.
         """
-        with self._concurrent.two_threads() if self._concurrent is not None else contextlib.nullcontext():
-            return self._update(batch)
-
-    def _update(self, batch: TensorDictBase) -> dict[str, float]:
         self._check_finite(batch)
         self.networks.observe(batch)
         flat = self._inputs(batch)
@@ -180,6 +177,29 @@ class PPO(Algorithm):
             # The scale is a view of the parameter, which the update changes.
             scale = scale.clone()
 
+        with self._concurrent.two_threads() if self._concurrent is not None else contextlib.nullcontext():
+            means = self._learn(flat)
+        kl = self._divergence(sample, loc, scale)
+        if self._schedule is not None:
+            # Once per batch. The first minibatches are close to the old policy, so a schedule that steps after each of
+            # them raises the rate several times before it can lower it again.
+            self._schedule.step(kl)
+        return {
+            "Loss/surrogate": means["loss_objective"],
+            "Loss/value_function": means["loss_critic"],
+            "Loss/entropy": means.get("entropy", 0.0),
+            **self.loss_metrics(means),
+            "Loss/kl": kl,
+            "Loss/learning_rate": self.learning_rate,
+            "Policy/mean_std": float(scale.mean()),
+        }
+
+    def _learn(self, flat: TensorDictBase) -> dict[str, float]:
+        """Take the gradient steps of all epochs, and return the losses' means by name.
+
+        Args:
+            flat: ``[rows]`` or ``[rows, T]``, what `_inputs` returned.
+        """
         sums: dict[str, Tensor] = {}
         updates = 0
         for _ in range(self.config.epochs):
@@ -193,21 +213,7 @@ class PPO(Algorithm):
                 updates += 1
                 for name, value in losses.items():
                     sums[name] = sums.get(name, 0.0) + value
-        kl = self._divergence(sample, loc, scale)
-        if self._schedule is not None:
-            # Once per batch. The first minibatches are close to the old policy, so a schedule that steps after each of
-            # them raises the rate several times before it can lower it again.
-            self._schedule.step(kl)
-        means = {name: float(value) / updates for name, value in sums.items()}
-        return {
-            "Loss/surrogate": means["loss_objective"],
-            "Loss/value_function": means["loss_critic"],
-            "Loss/entropy": means.get("entropy", 0.0),
-            **self.loss_metrics(means),
-            "Loss/kl": kl,
-            "Loss/learning_rate": self.learning_rate,
-            "Policy/mean_std": float(scale.mean()),
-        }
+        return {name: float(value) / updates for name, value in sums.items()}
 
     def _inputs(self, batch: TensorDictBase) -> TensorDictBase:
         """Return the inputs of learners and loss, with values, advantages and targets.
@@ -223,7 +229,9 @@ class PPO(Algorithm):
             self._fill_values(batch, inputs)
         self._gae(batch)
         advantage = batch["advantage"]
-        batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        # Torch splits the sum of a large tensor over its threads, so the rounding would depend on their number.
+        with torch_threads(1):
+            batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         rows = inputs.update(batch.select(*self.loss_keys))
         return rows if self.networks.recurrent else rows.flatten(0, 1)
 

@@ -18,16 +18,24 @@ from skatemount.utils.devices import torch_threads
 
 
 def updated(
-    threads: int, networks: dict[str, Any], **settings: Any
+    threads: int, networks: dict[str, Any], worlds: int = 16, **settings: Any
 ) -> tuple[dict[str, torch.Tensor], dict[str, float]]:
     ppo = make(make_networks(**networks), **settings)
     with torch_threads(threads):
-        ppo.update(collect(ppo.networks))
-        return weights(ppo.networks), ppo.update(collect(ppo.networks, seed=1))
+        ppo.update(collect(ppo.networks, worlds))
+        return weights(ppo.networks), ppo.update(collect(ppo.networks, worlds, seed=1))
 
 
 @pytest.mark.parametrize(
-    "settings", [{}, {"entropy_coeff": 0.01, "clip_value": True}, {"bf16": True}, {"epochs": 1, "minibatches": 1}]
+    "settings",
+    [
+        {},
+        {"entropy_coeff": 0.01, "clip_value": True},
+        {"bf16": True},
+        {"epochs": 1, "minibatches": 1},
+        # Torch splits sums of more than 32,768 values over its threads.
+        {"epochs": 1, "worlds": 3000},
+    ],
 )
 @pytest.mark.parametrize("networks", [{}, {"normalize": True}])
 def test_two_threads_give_the_numbers_of_one(networks: dict[str, Any], settings: dict[str, Any]) -> None:
