@@ -59,7 +59,7 @@ def test_a_driven_board_keeps_its_speed_and_another_does_not(
     assert float((driven[50:] - 1).abs().max()) < 0.03
     # Without it, the board loses what the formula says.
     mass = float(env.physics.model.body_mass.sum())
-    bearings = 4 * (0.0015 / 0.025 + 1e-5 / 0.025**2)
+    bearings = 4 * (0.0003 / 0.025 + 1e-5 / 0.025**2)
     lost = seconds * (coefficient * 9.81 + bearings / mass)
     assert (free[0] - free[-1]).tolist() == pytest.approx([lost, lost], rel=0.15)
 
@@ -92,7 +92,7 @@ def test_both_engines_pull_the_board(make_env: Make, physics: str) -> None:
     env.physics.pull_board(torch.tensor([[3.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
     env.physics.step(env.mdp.targets(torch.zeros(2, 12)), 4)
     gained = env.physics.state().board_lin_vel[:, 0] - before
-    expected = (3.0 - 4 * 0.0015 / 0.025) * env.mdp.context.control_step / env.task.config.board.mass
+    expected = (3.0 - 4 * 0.0003 / 0.025) * env.mdp.context.control_step / env.task.config.board.mass
     assert float(gained[0]) == pytest.approx(expected, rel=0.1) and float(gained[1].abs()) < 1e-3
 
 

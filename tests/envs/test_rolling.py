@@ -13,7 +13,7 @@ from skatemount.envs import MountEnv
 from skatemount.envs.rolling import RollingResistance
 
 Make = Callable[..., MountEnv]
-GRAVITY, RADIUS, BEARING, VISCOUS = 9.81, 0.025, 0.0015, 1e-5
+GRAVITY, RADIUS, BEARING, VISCOUS = 9.81, 0.025, 0.0003, 1e-5
 ALONE = ["start.x=[3,3]", "start.board_fixed=0", "start.board_speed=[1,1]", "randomization=none"]
 ENGINES = {"cpu": [], "warp": ["physics=warp", "physics.device=cpu"]}
 
