@@ -91,7 +91,9 @@ class MountEnv(EnvBase):
         self.mdp = task.make_mdp(self.generator)
         if max_mounted_time is not None:
             self.mdp.max_mounted_time = max_mounted_time
-        self._resistance = RollingResistance(task.config.board.rolling_resistance, physics.model, physics.index)
+        self._resistance = RollingResistance(
+            task.config.board.rolling_resistance, physics.model, physics.index, physics.device
+        )
         self._drive = Drive(task.config.start.drive, self._resistance)
         self.statistics = EpisodeStatistics(self.mdp, n)
         self.listeners: list[Listener] = [self.statistics.add]

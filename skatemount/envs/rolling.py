@@ -36,19 +36,27 @@ class RollingResistance:
         coefficient: The setting ``board.rolling_resistance``.
         model: The compiled scene with the nominal values.
         index: Ids of the scene.
+        device: Device of the worlds.
 
     Attributes:
         active: True if the resistance depends on the load.
         viscous: Viscous part of the bearings' resistance, N s/m.
     """
 
-    def __init__(self, coefficient: float, model: mujoco.MjModel, index: SceneIndex):
+    def __init__(
+        self,
+        coefficient: float,
+        model: mujoco.MjModel,
+        index: SceneIndex,
+        device: torch.device = torch.device("cpu"),  # noqa: B008  # A constant.
+    ):
         self.active = coefficient > 0
-        self._wheels = torch.from_numpy(index.board_dof[-4:].copy())
+        self._wheels = torch.from_numpy(index.board_dof[-4:].copy()).to(device)
         # At 1 m/s the wheels turn at 1 / r.
         per_radius = index.rolling[index.board_dof[-4:]]
-        self._per_radius = torch.from_numpy(per_radius).float()
-        self._bearings = torch.from_numpy(model.dof_frictionloss[index.board_dof[-4:]]).float()
+        self._per_radius = torch.from_numpy(per_radius).float().to(device)
+        self._radius = 1 / self._per_radius
+        self._bearings = torch.from_numpy(model.dof_frictionloss[index.board_dof[-4:]]).float().to(device)
         self._coefficient = coefficient
         self._weight = float(-model.body_subtreemass[index.board_body] * model.opt.gravity[2])
         self.viscous = float(model.dof_damping[index.board_dof[-4:]] @ per_radius**2)
@@ -67,12 +75,11 @@ class RollingResistance:
         """Compute the dry friction of each wheel's joint, ``[N, 4]`` N m."""
         # The sensors give the force on the deck, which points down.
         load = (self._weight - sim.foot_deck_force[..., 2].sum(1)).clamp(min=0.0)
-        radius, bearings = (1 / self._per_radius).to(load), self._bearings.to(load)
-        return bearings + self._coefficient / 4 * load.unsqueeze(1) * radius
+        return self._bearings + self._coefficient / 4 * load.unsqueeze(1) * self._radius
 
     def dry(self, sim: SimState) -> Tensor:
         """Compute the dry part of the resistance of all wheels together, ``[N]`` N."""
-        return self.joint_friction(sim) @ self._per_radius.to(sim.foot_deck_force)
+        return self.joint_friction(sim) @ self._per_radius
 
     def apply(self, worlds: ModelFields, sim: SimState) -> None:
         """Write the friction for the next control step into the worlds.

@@ -30,7 +30,7 @@ VARIED = ["start.board_fixed=0.5", "start.step_height=[0.0,0.088]", "start.force
 VARIED += ["start.board_speed=[0.0,0.5]", "start.yaw=[-3.0,3.0]"]
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)]
 TOLERANCES = {
-    **dict.fromkeys(("base_pos", "board_pos", "foot_pos", "foot_pos_board", "ground_height"), 1e-3),  # m
+    **dict.fromkeys(("base_pos", "board_pos", "foot_pos", "foot_pos_board", "ground_height"), 2e-3),  # m
     **dict.fromkeys(("base_rot", "board_rot", "gravity", "joint_pos", "truck_angle"), 5e-3),  # 1, rad
     **dict.fromkeys(("base_lin_vel", "board_lin_vel", "foot_vel"), 2e-2),  # m/s
     **dict.fromkeys(("base_ang_vel", "board_ang_vel", "joint_vel"), 0.1),  # rad/s
@@ -290,7 +290,7 @@ def test_a_policy_succeeds_as_often_on_both_engines(capsys: pytest.CaptureFixtur
         for name, result in results.items():
             print(f"\n{name}: {result.successes} of {result.episodes}, interval {result.interval}")
     (low, high), (other_low, other_high) = (result.interval for result in results.values())
-    assert low <= results["warp"].success_rate <= high and other_low <= results["cpu"].success_rate <= other_high
+    assert low <= other_high and other_low <= high
     # The same episodes: from the same starts.
     first, second = (result.records.start for result in results.values())
     torch.testing.assert_close(first, second, atol=1e-4, rtol=0)
