@@ -12,7 +12,7 @@ from typing import Any
 from skatemount.runs.shipped import ALIASES
 from skatemount.utils.errors import ConfigError
 
-FORMAT = 4
+FORMAT = 5
 
 RENAMED: dict[str, str] = {
     "algorithm.clip": "algorithm.clip_epsilon",
@@ -65,12 +65,27 @@ ADDED_LATER: dict[str, Any] = {
     "network.kind": "mlp",
     "network.params": {},
     "plugins": [],
+    "sensing": {
+        "target_delay": [0.0, 0.0],
+        "latency": [0, 0],
+        "board_age": [0, 0],
+        "board_seen": 1.0,
+        "board_pos_bias": 0.0,
+        "board_rot_bias": 0.0,
+        "board_pos_jitter": 0.0,
+        "board_rot_jitter": 0.0,
+        "encoder_offset": 0.0,
+        "joint_vel_noise": 0.0,
+        "gyro_noise": 0.0,
+        "gravity_noise": 0.0,
+        "term_noise": True,
+    },
     "start.board_lean": [0.0, 0.0],
     "start.drive": False,
     "start.move_with_board": False,
     "start.truck_angle": None,
 }
-"""The same for files of formats 1 to 3."""
+"""The same for files of formats 1 to 4."""
 
 
 RENAMED_VALUES: dict[str, dict[str, str]] = {"robot.variant": {"unitree": "a1", "isaac": "a1_isaac"}}
@@ -99,8 +114,9 @@ def upgrade(values: dict[str, Any]) -> dict[str, Any]:
         _rename(values)
         _add(values, ADDED)
     if saved < 4:
-        _add(values, ADDED_LATER)
         _rename_values(values)
+    if saved < 5:
+        _add(values, ADDED_LATER)
     return values
 
 

@@ -24,6 +24,7 @@ class Legs:
 
     Attributes:
         kinematics: Lengths and offsets of one leg, m.
+        num_joints: Number of joints of all legs.
         radius: Upper bound on the radii of thighs and calves, m.
     """
 
@@ -31,6 +32,7 @@ class Legs:
         kinematics = self.kinematics = spec.kinematics
         self.radius = spec.leg_radius
         self._shape = len(spec.legs), len(spec.legs[0].links)
+        self.num_joints = self._shape[0] * self._shape[1]
         fronts, self._side = torch.tensor([[leg.front, leg.left] for leg in spec.legs]).unbind(1)
         hip = (fronts * kinematics.hip_x, self._side * kinematics.hip_y, torch.zeros(len(spec.legs)))
         self._hip = torch.stack(hip, 1)

@@ -16,10 +16,12 @@ from skatemount.envs import success
 from skatemount.envs.commands import CommandGenerator
 from skatemount.envs.config.task import TaskConfig
 from skatemount.envs.geometry import board_direction
+from skatemount.envs.legs import Legs
 from skatemount.envs.memory import TermMemory
 from skatemount.envs.observations import ObservationTable
 from skatemount.envs.rewards import RewardTable
 from skatemount.envs.scene import Scene
+from skatemount.envs.sensing import Sensing
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.tasks import TASKS
 from skatemount.envs.tasks.trial import try_task
@@ -54,12 +56,13 @@ class Mdp:
     Args:
         config: Settings of the task.
         scene: The scene, for its constants.
-        generator: Source of commands and observation noise.
+        generator: Source of commands, sensor errors and observation noise.
 
     Attributes:
         context: Constants of the task.
         device: Device of the states, that of the generator.
         definition: The task's success criterion and metrics.
+        sensing: The robot's sensors; the policy's observation and the command come from what they show.
         observation: Observation of the policy.
         privileged: Observation that only the critic gets, in addition to the policy's.
         rewards: Reward terms.
@@ -85,6 +88,9 @@ class Mdp:
             self.rewards = RewardTable(config.reward, self.context)
             self.terminations = TerminationTable(config.termination, self.context)
             self._scale = torch.as_tensor(robot.action_scale, dtype=torch.float32)
+            legs = Legs(robot.spec)
+        step, timestep = scene.solver.control_step, scene.solver.timestep
+        self.sensing = Sensing(config.sensing, legs, step, timestep, generator)
         observing = [*self.observation.memory, *self.privileged.memory]
         self.memory = TermMemory(
             [*self.rewards.memory, *self.terminations.memory, *observing], observing, self.context, self.device
@@ -97,7 +103,7 @@ class Mdp:
         self.definition = TASKS.get(config.success)
         try_task(self.definition, self.context, self.observation.size, self.device)
         self.max_mounted_time = math.inf
-        self._noise = generator if tables.noise else None
+        self._noise = generator if tables.noise and config.sensing.term_noise else None
         self._action_clip = robot.config.action_clip
 
     def targets(self, action: Tensor) -> Tensor:
@@ -107,9 +113,15 @@ class Mdp:
             action: ``[N, J]``.
 
         Returns:
-            ``[N, J]`` rad: default pose + scale x clipped action.
+            ``[N, J]`` rad: default pose + scale x clipped action, less the offsets of the encoders.
         """
-        return self.context.default_pose + self._scale * action.clamp(-self._action_clip, self._action_clip)
+        targets = self.context.default_pose + self._scale * action.clamp(-self._action_clip, self._action_clip)
+        return self.sensing.targets(targets)
+
+    def allocate(self, num_worlds: int) -> None:
+        """Make the memory of terms and sensors for a number of worlds whose episodes begin."""
+        self.memory.allocate(num_worlds)
+        self.sensing.allocate(num_worlds)
 
     def begin(self, sim: SimState, bins: Tensor | None = None, rows: Tensor | None = None) -> EpisodeState:
         """Begin new episodes.
@@ -128,8 +140,9 @@ class Mdp:
         distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
         on_deck = success.feet_on_deck(sim)
         fresh.on_deck = on_deck
-        fresh.board_direction = board_direction(sim.board_rot_base)
         fresh.off_time = torch.where(on_deck, 0.0, torch.inf)
+        sensed = self.sensing.begin(sim, fresh, rows)
+        fresh.board_direction = board_direction(sensed.board_rot_base)
         off_deck = success.feet_off_deck_contact(sim)
         fresh.touching, fresh.foot_off_deck_contact = on_deck | off_deck, off_deck.any(1)
         fresh.distance, fresh.previous_distance = distance, distance.clone()
@@ -138,9 +151,9 @@ class Mdp:
         position = (to_board @ (sim.base_pos - sim.board_pos).unsqueeze(-1)).squeeze(-1)
         heading = (to_board @ sim.base_rot[..., :1]).squeeze(-1)
         fresh.start = torch.cat((position[:, :2], torch.atan2(heading[:, 1:2], heading[:, :1])), 1)
-        self._command_generator.update(sim, fresh)
+        self._command_generator.update(sensed, fresh)
         self.memory.begin(sim, fresh, rows)
-        fresh.observation = self.observation(sim, fresh, self._noise)
+        fresh.observation = self.observation(sensed, self.sensing.contacts(fresh, rows), self._noise)
         return fresh
 
     def advance(self, sim: SimState, episode: EpisodeState, action: Tensor, diverged: Tensor) -> StepResult:
@@ -169,8 +182,9 @@ class Mdp:
         episode.touchdown = touching & ~episode.touching
         episode.touching = touching
         episode.on_deck = on_deck
-        episode.board_direction = board_direction(sim.board_rot_base, episode.board_direction)
         episode.off_time = torch.where(on_deck, 0.0, episode.off_time + step)
+        sensed = self.sensing.sense(sim, episode)
+        episode.board_direction = board_direction(sensed.board_rot_base, episode.board_direction)
         velocity = torch.linalg.vector_norm(sim.base_lin_vel[:, :2] - episode.command[:, :2], dim=-1)
         turn = (sim.base_ang_vel[:, 2] - episode.command[:, 2]).abs()
         episode.command_error = episode.command_error + torch.stack((velocity, turn), 1)
@@ -191,8 +205,9 @@ class Mdp:
         reward_terms = self.rewards(sim, episode)
         # The values of a diverged world mean nothing, and one that is not finite would spoil the whole batch.
         reward_terms = torch.where(diverged, 0.0, reward_terms)
-        self._command_generator.update(sim, episode)
-        episode.observation = self.observation(sim, episode, self._noise, episode.observation)
+        self._command_generator.update(sensed, episode)
+        seen = self.sensing.contacts(episode)
+        episode.observation = self.observation(sensed, seen, self._noise, episode.observation)
         if self.privileged.memory:
             # Once in each step, whether or not it is asked for.
             self.privileged(sim, episode)

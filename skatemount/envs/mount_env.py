@@ -157,7 +157,7 @@ class MountEnv(EnvBase):
         self._episode = EpisodeState.zeros(n, self.mdp.context.layout, self.mdp.observation.size, self.device)
         self._privileged = torch.zeros(n, self.mdp.privileged.size, device=self.device)
         self._begun = self._resumes = False
-        self.mdp.memory.allocate(n)
+        self.mdp.allocate(n)
         self.statistics.clear()
 
     @plain_defaults
@@ -226,6 +226,7 @@ class MountEnv(EnvBase):
     def _begin(self, mask: Tensor, rows: Tensor, start: StartState) -> dict[str, Tensor]:
         with torch.inference_mode():
             self._randomizer.new_episodes(self.physics, rows)
+            self.mdp.sensing.delay_targets(self.physics, rows)
             if self._resistance.active:
                 self._resistance.restart(self.physics, rows)
             self.physics.reset(mask, start)
@@ -330,6 +331,7 @@ class MountEnv(EnvBase):
         return {
             "physics": self.physics.state_dict(),
             "memory": self.mdp.memory.state_dict(),
+            "sensing": self.mdp.sensing.state_dict(),
             "privileged": self._privileged.clone(),
             # Mypy does not know the methods of a tensorclass.
             "episode": dict(self._episode.clone().to_tensordict()),  # type: ignore[attr-defined]
@@ -354,6 +356,8 @@ class MountEnv(EnvBase):
         episode = TensorDict(tensors, [self.num_worlds])
         self._episode = EpisodeState.from_tensordict(episode)  # type: ignore[attr-defined]
         self.mdp.memory.load_state_dict(state["memory"])
+        # Saved states of older versions lack it.
+        self.mdp.sensing.load_state_dict(state.get("sensing", {}))
         self._privileged = state["privileged"].to(self.device)
         self.statistics.load_state_dict(state["statistics"])
         self._pushes.load_state_dict(state["pushes"])

@@ -29,6 +29,8 @@ class Scene:
         robot: Settings of the robot.
         board: Settings of the skateboard.
         solver: Time step and solver.
+        delay_steps: Largest delay of the joint targets, physics steps. Above 0, the model remembers that many targets,
+            and ``actuator_delay`` says which of them a world gets.
     """
 
     def __init__(
@@ -36,8 +38,9 @@ class Scene:
         robot: RobotConfig,
         board: SkateboardConfig,
         solver: SolverConfig,
+        delay_steps: int = 0,
     ):
-        self.solver = solver
+        self.solver, self.delay_steps = solver, delay_steps
         self.arena = MountArena()
         self.robot = Quadruped(config=robot)
         self.board = Skateboard(config=board)
@@ -58,6 +61,9 @@ class Scene:
         # Memory for contacts and constraints, which the CPU engine reserves for each world.
         root.size.memory = "1M"
         self._set_options(root)
+        if delay_steps:
+            for actuator in self.robot.actuators:
+                actuator.set_attributes(delay=delay_steps * solver.timestep, nsample=delay_steps, interp="zoh")
         self._add_cameras()
         self._add_sensors(root)
 

@@ -55,6 +55,8 @@ class SimState:
         wheel_speed: ``[N, 4]`` rad/s.
         ground_height: ``[N]`` height of the robot's floor, m; the board's own floor is at 0.
         board_fixed: ``[N]`` bool, whether the deck is welded to the world.
+        board_age: ``[N]`` time since the board's pose was measured, s; None in a true state, whose pose is the present
+            one. See `skatemount.envs.sensing`.
     """
 
     base_pos: Tensor
@@ -84,6 +86,7 @@ class SimState:
     wheel_speed: Tensor
     ground_height: Tensor
     board_fixed: Tensor
+    board_age: Tensor | None = None
 
     @classmethod
     def at_rest(cls, num_worlds: int, layout: JointLayout, device: torch.device | None = None) -> SimState:

@@ -57,7 +57,8 @@ class MountTask(composer.Task):
         config.validate()
         config.validate_terms()
         self.config = config
-        self.scene = Scene(config.robot, config.board, config.physics)
+        _, delay_steps = config.sensing.delay_steps(config.physics.timestep)
+        self.scene = Scene(config.robot, config.board, config.physics, delay_steps)
         self._generator = torch.Generator().manual_seed(0)
         self._mdp = self.make_mdp(self._generator)
         self._sampler = self.make_sampler()
@@ -77,7 +78,7 @@ class MountTask(composer.Task):
         """Build the task's decision process.
 
         Args:
-            generator: Source of commands and observation noise; states are on its device.
+            generator: Source of commands, sensor errors and observation noise; states are on its device.
         """
         return Mdp(self.config, self.scene, generator)
 
@@ -147,6 +148,7 @@ class MountTask(composer.Task):
         randomizer.build_worlds(world)
         randomizer.new_episodes(world, torch.zeros(1, dtype=torch.int64))
         self._pushes = Pushes(self.config.randomization, 1, self._mdp.context.control_step, self._generator)
+        self._mdp.sensing.delay_targets(world, torch.zeros(1, dtype=torch.int64))
         self.start(physics, self._sampler.draw(1, self._generator))
 
     @plain_defaults
@@ -170,6 +172,10 @@ class MountTask(composer.Task):
             data.qpos[index.board_qpos] = board.positions(start)[0]
             data.qvel[index.board_dof] = board.velocities(start)[0]
         data.ctrl[index.actuators] = start.joint_pos[0]
+        if self.scene.delay_steps:
+            held = start.joint_pos[0].double().unsqueeze(1).repeat(1, self.scene.delay_steps).numpy()
+            for actuator, values in zip(index.actuators, held, strict=True):
+                mujoco.mj_initCtrlHistory(physics.model.ptr, data.ptr, actuator, None, values[:, None])
         data.xfrc_applied[index.trunk_body] = torch.cat((start.force[0], start.torque[0]))
         data.eq_active[index.weld] = bool(start.board_fixed[0])
         data.mocap_pos[index.floor_mocap, 2] = float(start.ground_height[0])

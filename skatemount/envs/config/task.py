@@ -14,6 +14,7 @@ from skatemount.envs.config.commands import CommandConfig
 from skatemount.envs.config.physics import PhysicsConfig
 from skatemount.envs.config.randomization import RandomizationConfig
 from skatemount.envs.config.robot import RobotConfig
+from skatemount.envs.config.sensing import SensingConfig
 from skatemount.envs.config.starts import StartConfig
 from skatemount.envs.config.terms import ObservationTerm, RewardTerm, TerminationTerm
 from skatemount.utils.bounds import check_bounds, number
@@ -104,6 +105,7 @@ class TaskConfig:
         start: Ranges of the start states.
         command: Settings of the velocity commands.
         randomization: Ranges of randomized physics and pushes.
+        sensing: Errors and delays of the robot's sensors, and delay of its targets.
         plugins: Modules that register terms of one's own, imported before the tables are checked.
     """
 
@@ -118,6 +120,7 @@ class TaskConfig:
     start: StartConfig
     command: CommandConfig
     randomization: RandomizationConfig
+    sensing: SensingConfig
     plugins: list[str]
 
     def __post_init__(self) -> None:
@@ -134,7 +137,7 @@ class TaskConfig:
                     f"observation.privileged.{name}.history_length={term.history_length} must be null; only terms of "
                     "the policy have a history"
                 )
-        for part in ("robot", "board", "physics", "start", "command", "randomization"):
+        for part in ("robot", "board", "physics", "start", "command", "randomization", "sensing"):
             getattr(self, part).validate(part)
         if self.episode_length < self.physics.control_step:
             raise ConfigError(

@@ -75,6 +75,13 @@ def last_action(sim: SimState, episode: EpisodeState, context: TaskContext) -> T
     return episode.action
 
 
+@observation(1, "scalars")
+def board_age(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
+    """Return the time since the board's pose that all terms about the board use was measured, ``[N, 1]`` s."""
+    age = sim.base_pos.new_zeros(len(sim.base_pos)) if sim.board_age is None else sim.board_age
+    return age.unsqueeze(-1)
+
+
 @observation(3, "vector")
 def board_pos(
     sim: SimState, episode: EpisodeState, context: TaskContext, at: Literal["deck", "ground"] = "deck"

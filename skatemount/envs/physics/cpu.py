@@ -10,6 +10,7 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
+from skatemount.envs.physics import target_history
 from skatemount.envs.physics.base import StartState, posed_data
 from skatemount.envs.physics.board_start import BoardStart
 from skatemount.envs.scene import Scene, SceneIndex
@@ -68,6 +69,7 @@ class CpuPhysics:
             self._joint_dof = slice(int(dof[0]), int(dof[-1]) + 1)
         self._reader = StateReader(self.index)
         self._board_start = BoardStart(scene.board.config)
+        self._history = target_history.TargetHistory(self.model, self.index)
         self._lost_contacts = False
         self._fields: dict[str, np.ndarray] = {}
         self._default = self._batch.state[0].copy()
@@ -100,6 +102,8 @@ class CpuPhysics:
             qvel[:, index.board_dof] = self._board_start.velocities(start).numpy()
         self._qvel[ids] = qvel
         self._ctrl[np.ix_(ids, index.actuators)] = start.joint_pos.numpy()
+        if self.model.nhistory:
+            self._batch.bind("history")[ids] = self._history.filled(start.joint_pos).numpy()
         self._wrench[ids, index.trunk_body] = torch.cat((start.force, start.torque), -1).numpy()
         self._weld[ids, index.weld] = start.board_fixed.numpy()
         self._mocap[ids, index.floor_mocap, 2] = start.ground_height.numpy()
@@ -167,7 +171,8 @@ class CpuPhysics:
         """Return a copy of a world's model, and its part of a state; see `Physics.world`."""
         data = mujoco.MjData(self.model)
         mujoco.mj_setState(self.model, data, state[i], mujoco.mjtState.mjSTATE_INTEGRATION)
-        return self._batch.get_model(i), {name: np.array(getattr(data, name)) for name in _STATE}
+        names = (*_STATE, *target_history.state(self.model))
+        return self._batch.get_model(i), {name: np.array(getattr(data, name)) for name in names}
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return copies of all that a step or a reset depends on; see `Physics.state_dict`."""

@@ -29,6 +29,8 @@ _STATE = (
     "eq_active",
     "mocap_pos",
     "mocap_quat",
+    "time",
+    "history",
 )
 _GIVEN = ("qpos", "qvel", "ctrl", "qfrc_applied", "xfrc_applied", "mocap_pos", "mocap_quat")
 # In the order in which MuJoCo computes them; those before the line follow from positions and velocities.
@@ -134,10 +136,7 @@ def read(file: Path) -> tuple[mujoco.MjModel, dict[str, np.ndarray]]:
             kind, _, field = name.partition(".")
             if kind == "model":
                 getattr(model, field)[...] = value
-        data = mujoco.MjData(model)
-        for name in _STATE:
-            if f"state.{name}" in arrays:
-                getattr(data, name)[...] = arrays[f"state.{name}"]
+        _restore(mujoco.MjData(model), arrays)
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         if isinstance(error, ConfigError):
             raise
@@ -156,9 +155,7 @@ def replay(model: mujoco.MjModel, arrays: dict[str, np.ndarray]) -> Replay:
     # Else MuJoCo would put the world back to its default state, and nothing would be left to look at.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     data = mujoco.MjData(model)
-    for name in _STATE:
-        if f"state.{name}" in arrays:
-            getattr(data, name)[...] = arrays[f"state.{name}"]
+    _restore(data, arrays)
     finding = _of_model(model, arrays)
     for substep in range(1, int(arrays["substeps"]) + 1):
         finding = finding or _first(model, data, _GIVEN, substep)
@@ -169,6 +166,16 @@ def replay(model: mujoco.MjModel, arrays: dict[str, np.ndarray]) -> Replay:
         mujoco.mj_step2(model, data)
         finding = finding or _first(model, data, _SECOND, substep)
     return Replay(finding, data.qpos.copy(), data.qvel.copy())
+
+
+def _restore(data: mujoco.MjData, arrays: dict[str, np.ndarray]) -> None:
+    for name in _STATE:
+        if (value := arrays.get(f"state.{name}")) is None:
+            continue
+        if name == "time":
+            data.time = float(value)
+        else:
+            getattr(data, name)[...] = value
 
 
 def _of_model(model: mujoco.MjModel, arrays: dict[str, np.ndarray]) -> Finding | None:

@@ -16,6 +16,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from skatemount.envs.physics import target_history
 from skatemount.envs.physics.base import StartState, posed_data, where_rows
 from skatemount.envs.physics.board_start import BoardStart
 from skatemount.envs.scene import Scene, SceneIndex
@@ -84,7 +85,8 @@ class _Worlds:
         self.num_worlds = num_worlds
         self._device, self._warp_device = device, wp.device_from_torch(device)
         with wp.ScopedDevice(self._warp_device):
-            self.model = mjw.put_model(model, dict.fromkeys((*OF_WORLDS, *DERIVED), num_worlds))
+            fields = (*OF_WORLDS, *DERIVED, *target_history.fields(model))
+            self.model = mjw.put_model(model, dict.fromkeys(fields, num_worlds))
             # `overflowed` reports an overflow. Warp would print a line per world and step.
             self.model.opt.warn_overflow = 0
             # For each contact sensor of each world, mujoco_warp launches a block that sorts contacts, even where forces
@@ -92,8 +94,9 @@ class _Worlds:
             self.model.opt.contact_sensor_maxmatch = max(1, contacts // _SENSOR_SHARE)
             self.model.block_dim.contact_sort = 32
             self.data = mjw.make_data(model, num_worlds, naconmax=contacts * (num_worlds + spare), njmax=constraints)
-        self.fields = {name: wp.to_torch(getattr(self.model, name)) for name in (*OF_WORLDS, *DERIVED)}
-        self.state = {name: wp.to_torch(getattr(self.data, name)) for name in STATE}
+        self.fields = {name: wp.to_torch(getattr(self.model, name)) for name in fields}
+        state = (*STATE, *target_history.state(model))
+        self.state = {name: wp.to_torch(getattr(self.data, name)) for name in state}
         self.results = {name: wp.to_torch(getattr(self.data, name)) for name in RESULTS}
         self.overflow = wp.to_torch(self.data.overflow)
         self._found = [wp.to_torch(each) for each in (self.data.nacon, self.data.ncollision)]
@@ -199,6 +202,7 @@ class WarpPhysics:
             )
             self._board_qpos, self._board_dof = map(torch.as_tensor, (self.index.board_qpos, self.index.board_dof))
         self._board_start = BoardStart(scene.board.config, self.device)
+        self._history = target_history.TargetHistory(self.model, self.index, self.device)
         self._reader = StateReader(self.index)
 
     def step(self, targets: Tensor, substeps: int) -> None:
@@ -234,6 +238,8 @@ class WarpPhysics:
         fresh = {name: value.new_zeros(len(rows), *value.shape[1:]) for name, value in self._state.items()}
         fresh |= {"qpos": qpos, "qvel": qvel}
         fresh["ctrl"][:, self._actuators] = start.joint_pos
+        if "history" in fresh:
+            fresh["history"] = self._history.filled(start.joint_pos).float()
         fresh["xfrc_applied"][:, index.trunk_body] = torch.cat((start.force, start.torque), -1)
         fresh["eq_active"][:, index.weld] = start.board_fixed
         fresh["mocap_pos"] = self._state["mocap_pos"][rows]
@@ -296,13 +302,10 @@ class WarpPhysics:
     def field(self, name: str) -> Tensor:
         """Return a live ``[N, ...]`` float32 view of a model field that has a value for each world.
 
-        Args:
-            name: Name of the field.
-
         Raises:
             KeyError: The field is the same in every world.
         """
-        if name not in OF_WORLDS:
+        if name not in (*OF_WORLDS, *target_history.fields(self.model)):
             raise KeyError(f"{name} is not among the fields that differ from world to world: {', '.join(OF_WORLDS)}")
         return self._all.fields[name]
 
