@@ -97,6 +97,15 @@ NUMBERS: dict[str, tuple[float, float]] = {
     "logger.evaluate_every": (-1, 10**12),
     "logger.evaluate_episodes": (0, 10**12),
     "logger.final_episodes": (-1, 10**12),
+    "sensing.board_seen": (0, 1.1),
+    "sensing.board_pos_bias": (-0.01, 2),
+    "sensing.board_rot_bias": (-1, 90),
+    "sensing.board_pos_jitter": (-0.01, 2),
+    "sensing.board_rot_jitter": (-1, 90),
+    "sensing.encoder_offset": (-0.01, 2),
+    "sensing.joint_vel_noise": (-1, 1e3),
+    "sensing.gyro_noise": (-1, 1e3),
+    "sensing.gravity_noise": (-0.1, 2),
 }
 
 # A refused range below, and one above.
@@ -129,6 +138,9 @@ RANGES: dict[str, tuple[list[float], list[float]]] = {
     "randomization.kd": ([0, 1], [1, 1e6]),
     "randomization.push_interval": ([0, 1], [1, 1e6]),
     "randomization.push_velocity": ([-1e3, 0], [0, 1e3]),
+    "sensing.target_delay": ([-0.01, 0], [0, 1]),
+    "sensing.latency": ([-1, 0], [0, 26]),
+    "sensing.board_age": ([-1, 0], [0, 26]),
 }
 
 MAY_BE_NULL = {"start.distance", "start.step_height", "randomization.push_interval"}

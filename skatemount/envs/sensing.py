@@ -250,8 +250,9 @@ class Sensing:
         sensed.board_rot_base = used[:, 3:_POSE].unflatten(1, (3, 3))
         sensed.board_age = used[:, -1] * self._control_step
         sensed.base_ang_vel = sim.base_ang_vel + noise[:, 6:9]
-        sensed.gravity = torch.nn.functional.normalize(sim.gravity + noise[:, 9:12], dim=-1)
         sensed.joint_vel = sim.joint_vel + noise[:, 12:-1]
+        if self.config.gravity_noise:
+            sensed.gravity = torch.nn.functional.normalize(sim.gravity + noise[:, 9:12], dim=-1)
         if self.config.encoder_offset:
             sensed.joint_pos = sim.joint_pos + memory["constant"][:, 6:]
             sensed.foot_pos_base = self._legs.points(sensed.joint_pos, self._end, self._end)[1].squeeze(-2)

@@ -28,6 +28,7 @@ GROUPS = (
     "start",
     "command",
     "randomization",
+    "sensing",
     "algorithm",
     "network",
     "collector",

@@ -121,3 +121,11 @@ def test_an_unknown_format_is_one_line(found: object) -> None:
 def test_every_alias_is_a_shipped_policy() -> None:
     for old, new in ALIASES.items():
         assert shipped_file(old) == shipped_file(new) is not None
+
+
+def test_what_was_saved_before_there_was_sensing_sees_the_truth() -> None:
+    config = compose("balance")
+    values = to_dict(config) | {"format": 4}
+    del values["sensing"]
+    assert from_dict(values) == config and config.sensing.senses_truth
+    assert from_dict(to_dict(compose("balance", ["sensing=hard"]))).sensing.board_seen == 0.7

@@ -54,6 +54,8 @@ def test_every_input_of_a_term_has_its_shape_and_every_setting_its_meaning(pages
         assert title == "context" or all(shape.startswith("`[N") for _, shape in rows)
     layout = JointLayout.of(A1)
     rest, episode = SimState.at_rest(5, layout), EpisodeState.zeros(5, layout, 7)
+    # Only a sensed state has it.
+    rest.board_age = rest.ground_height
     sizes = {"N": 5, "J": 12, "F": 4, "B": len(layout.bodies), "O": 7}
     for title, name, shape in re.findall(r"^\| `(sim|episode)\.(\w+)` \| `\[(.*?)\]`", page, re.MULTILINE):
         value = (rest if title == "sim" else episode).get(name)

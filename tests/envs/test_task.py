@@ -55,6 +55,8 @@ class TrainedPolicy:
 STILL = [f"start.{name}=[0.0,0.0]" for name in ("lin_vel", "ang_vel", "joint_vel", "height", "roll", "pitch")]
 NEVER = [f"termination.{name}.enabled=false" for name in ("trunk_contact", "tilt", "board_tilt", "out_of_reach")]
 
+LATE = ["sensing.target_delay=[0.03,0.03]", "sensing.latency=[1,1]", "sensing.board_age=[2,2]"]
+
 # Stage and settings, size of the actions, steps to compare in each of two worlds.
 CASES = {
     "standing on a fixed board": ("balance", [*STILL, "start.board_fixed=1.0"], 0.03, 220),
@@ -66,6 +68,7 @@ CASES = {
         0.03,
         60,
     ),
+    "on a free board with late targets and a late camera": ("balance", [*STILL, *LATE], 0.03, 60),
     "falling beside a rolling board": (
         "mount",
         ["start.board_fixed=0.5", "start.board_speed=[0.1,0.5]", "start.step_height=[0.03,0.088]"],

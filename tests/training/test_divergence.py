@@ -69,10 +69,12 @@ def test_the_replay_fails_in_the_same_way(run: RunFolder, capsys: pytest.Capture
     assert last.startswith("substep 1: qvel[") and "is 1e+12" in last
 
 
-def test_a_replay_is_the_step_of_the_training(tmp_path: Path, make_env: Any) -> None:
+@pytest.mark.parametrize("delay", [0.0, 0.03])
+def test_a_replay_is_the_step_of_the_training(tmp_path: Path, make_env: Any, delay: float) -> None:
     from skatemount.training.divergence import DivergedFiles
 
-    env = make_env("balance", 3, ("randomization.trunk_mass=[0.5,1.0]",))
+    late = f"sensing.target_delay=[{delay},{delay}]"
+    env = make_env("balance", 3, ("randomization.trunk_mass=[0.5,1.0]", late, "sensing.encoder_offset=0.03"))
     env.reset()
     for _ in range(3):
         env.step(env.rand_action())

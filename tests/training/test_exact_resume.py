@@ -31,6 +31,7 @@ CASES = {
     "auto": ["stage=unfixed", "curriculum=auto", "init_from=null"],
     "anywhere": ["stage=anywhere", "init_from=null"],
     "gait": ["stage=gait"],
+    "sensing": ["stage=unfixed", "init_from=null", "sensing=hard", "sensing.latency=[0,2]", "observation=onboard"],
     "memory": [
         "stage=balance",
         "reward.feet_air_time.weight=1",

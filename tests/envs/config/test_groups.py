@@ -11,7 +11,7 @@ import pytest
 from skatemount.utils.errors import ConfigError
 
 
-@pytest.mark.parametrize("group", ["robot", "board", "physics", "start", "command", "randomization"])
+@pytest.mark.parametrize("group", ["robot", "board", "physics", "start", "command", "randomization", "sensing"])
 def test_the_shipped_settings_are_valid(group: str, make_settings: Callable[..., Any]) -> None:
     settings = make_settings(group)
     before = repr(settings)

@@ -308,3 +308,28 @@ def test_a_training_on_it_and_its_bench(tmp_path: Path, device: str) -> None:
         compose_program("bench", ["stage=unfixed", *asked, "bench=quick", "bench.seconds=0.01", "bench.rounds=1"])
     )
     assert all(rate > 0 for rate in point.rates.values())
+
+
+def test_targets_are_late_in_each_world_by_its_own_time() -> None:
+    task = MountTask("balance", ["sensing.target_delay=[0.0,0.04]", "start.board_fixed=1.0"])
+    pair = engine("cpu", task, 8), engine("warp", task, 8)
+    start = starts(task, 8)
+    for physics in pair:
+        generator = torch.Generator().manual_seed(2)
+        sensing = task.make_mdp(generator).sensing
+        for _ in range(2):
+            # The second start forgets the targets of the first.
+            sensing.delay_targets(physics, torch.arange(8))
+            physics.reset(everywhere(8), start)
+            physics.step(start.joint_pos + 0.3, SUBSTEPS)
+            physics.reset(only(0, n=8), start[only(0, n=8)])
+            physics.step(start.joint_pos - 0.3, 2)
+    cpu, warp = pair
+    assert torch.allclose(cpu.field("actuator_delay").float(), warp.field("actuator_delay"))
+    assert len(warp.field("actuator_delay").unique()) > 2
+    assert difference(cpu.state().joint_torque, warp.state().joint_torque, 1.0) < 0.1
+    assert difference(cpu.state().joint_pos, warp.state().joint_pos, 1.0) < 1e-3
+    again = warp.state_dict()
+    assert {"state.time", "state.history", "field.actuator_delay"} <= again.keys()
+    for physics in pair:
+        physics.close()
