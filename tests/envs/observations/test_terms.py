@@ -275,10 +275,13 @@ def test_other_terms(context: TaskContext, make_state: MakeState, make_episode: 
         "on_deck": [1, 0, 0, 1],
         "off_time": [0.0, 0.3, 1.0, 1.0],
         "mounted_time": [1.0],
+        "board_age": [0.0],
         "base_lin_vel": [1, 2, 3],
         "feet_board": sim.foot_pos_board.flatten().tolist(),
     }
     for name, values in expected.items():
         assert one(context, name, sim, episode).tolist() == pytest.approx(values, abs=1e-6), name
+    sim.board_age = torch.tensor([0.08])
+    assert one(context, "board_age", sim, episode).tolist() == pytest.approx([0.08])
     tested = {*expected, "board_axes", "outline", "feet_base", *(name for name, *_ in PAPER)}
     assert tested == set(OBSERVATIONS.names())
