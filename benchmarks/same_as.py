@@ -35,9 +35,6 @@ import golden_compare  # noqa: E402
 from golden_commands import OLD, SPEED  # noqa: E402
 
 PARTS = ("settings", "models", "steps", "updates", "policies", "episodes", "weights")
-ITERATION = 1024 * 24
-"""Environment steps of one iteration of the training that is timed."""
-
 
 def main() -> None:
     """Dump both versions, compare, time."""
@@ -108,9 +105,9 @@ def speed_ratio(other: Path, rounds: int, iterations: int) -> float:
             # The order alternates: a machine that slows down during a round must not favor one version.
             turns = [theirs, ours] if i % 2 == 0 else [ours, theirs]
             speeds = {training: training.speed(iterations) for training in turns}
-            mine, other_s = speeds[ours], speeds[theirs]
-            ratios.append(mine / other_s)
-            print(f"  round {i + 1}: {mine:,.0f} / {other_s:,.0f} steps/s = {ratios[-1]:.3f}", flush=True)
+            ratios.append(speeds[ours] / speeds[theirs])
+            both = f"{speeds[ours]:,.0f} / {speeds[theirs]:,.0f} steps/s"
+            print(f"  round {i + 1}: {both} = {ratios[-1]:.3f}", flush=True)
     print(f"training speed, median of {rounds} ratios: {statistics.median(ratios):.3f}")
     return statistics.median(ratios)
 

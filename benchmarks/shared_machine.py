@@ -28,11 +28,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
-from same_as import ITERATION, ROOT, checkout, environment, rates
+from same_as import ROOT, checkout, environment, rates
 
 COMMAND = (
     "+stage=balance total_frames={frames} logger.evaluate_every=0 logger.final_episodes=0 logger.tensorboard=false"
 )
+ITERATION = 1024 * 24
+"""Environment steps of one iteration."""
+
 CASES = {"quiet": (1, 0), "busy": (1, 1), "pair": (2, 0)}
 """Number of trainings, and of busy processes beside them, by the case's name."""
 

@@ -191,6 +191,9 @@ def train(root: str) -> None:
     asked = [
         "physics=warp",
         "+curriculum=auto",
+        "sensing=hard",
+        "sensing.latency=[0,1]",
+        "observation=onboard",
         "physics.num_worlds=8",
         "collector.steps_per_env=20",
         f"logger.root={root}",

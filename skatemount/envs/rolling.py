@@ -36,7 +36,7 @@ class RollingResistance:
         coefficient: The setting ``board.rolling_resistance``.
         model: The compiled scene with the nominal values.
         index: Ids of the scene.
-        device: Device of the worlds.
+        device: Device of the worlds; the CPU if None.
 
     Attributes:
         active: True if the resistance depends on the load.
@@ -48,18 +48,19 @@ class RollingResistance:
         coefficient: float,
         model: mujoco.MjModel,
         index: SceneIndex,
-        device: torch.device = torch.device("cpu"),  # noqa: B008  # A constant.
+        device: torch.device | None = None,
     ):
         self.active = coefficient > 0
-        self._wheels = torch.from_numpy(index.board_dof[-4:].copy()).to(device)
+        wheels = index.board_dof[-4:]
         # At 1 m/s the wheels turn at 1 / r.
-        per_radius = index.rolling[index.board_dof[-4:]]
-        self._per_radius = torch.from_numpy(per_radius).float().to(device)
+        per_radius = index.rolling[wheels]
+        self._wheels = torch.as_tensor(wheels, device=device)
+        self._per_radius = torch.as_tensor(per_radius, dtype=torch.float32, device=device)
+        self._bearings = torch.as_tensor(model.dof_frictionloss[wheels], dtype=torch.float32, device=device)
         self._radius = 1 / self._per_radius
-        self._bearings = torch.from_numpy(model.dof_frictionloss[index.board_dof[-4:]]).float().to(device)
         self._coefficient = coefficient
         self._weight = float(-model.body_subtreemass[index.board_body] * model.opt.gravity[2])
-        self.viscous = float(model.dof_damping[index.board_dof[-4:]] @ per_radius**2)
+        self.viscous = float(model.dof_damping[wheels] @ per_radius**2)
 
     def restart(self, worlds: ModelFields, rows: Tensor) -> None:
         """Leave the bearings' friction only, so that a start state does not depend on the last episode.

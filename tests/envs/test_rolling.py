@@ -42,17 +42,25 @@ def test_a_share_of_the_weight_and_of_what_the_feet_press(make_env: Make) -> Non
     assert resistance(env).viscous == pytest.approx(4 * VISCOUS / RADIUS**2)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("coefficient", [0.0, 0.01, 0.05])
-def test_a_board_alone_slows_down_by_it(make_env: Make, engine: str, coefficient: float) -> None:
-    env = make_env("unfixed", 2, [*ALONE, f"board.rolling_resistance={coefficient}", *ENGINES[engine]])
+@pytest.mark.parametrize(
+    "engine, board",
+    [
+        *(("cpu", [f"board={name}"]) for name in ("paper_text", "longboard", "mini")),
+        *((engine, [f"board.rolling_resistance={c}"]) for engine in ENGINES for c in (0.0, 0.01, 0.05)),
+    ],
+)
+def test_a_board_alone_slows_down_by_it(make_env: Make, engine: str, board: list[str]) -> None:
+    env = make_env("unfixed", 2, [*ALONE, *board, *ENGINES[engine]])
+    c = env.task.config.board
     env.reset()
     before = ahead(env)
     for _ in range(12):
         env.step(TensorDict({"action": torch.zeros(2, 12)}, [2]))
     seconds = 12 * env.mdp.context.control_step
-    bearings = 4 * (BEARING / RADIUS + VISCOUS / RADIUS**2) / env.task.config.board.mass
-    lost = (coefficient * GRAVITY + bearings) * seconds
+    bearings = 4 * (c.wheel_friction / c.wheel_radius + c.wheel_damping / c.wheel_radius**2)
+    # The wheels turn, so they have half of their mass once more.
+    inertia = c.mass + 4 * (c.wheel_mass / 2 + c.wheel_armature / c.wheel_radius**2)
+    lost = (c.rolling_resistance * c.mass * GRAVITY + bearings) / inertia * seconds
     assert (before - ahead(env)).tolist() == pytest.approx([lost, lost], rel=0.08)
 
 

@@ -1,4 +1,4 @@
-"""What the policy sees of the state, and when its targets reach the motors."""
+"""Sensing: errors and age of what the policy sees, and the delay of its targets."""
 
 from __future__ import annotations
 

@@ -305,8 +305,8 @@ class WarpPhysics:
         Raises:
             KeyError: The field is the same in every world.
         """
-        if name not in (*OF_WORLDS, *target_history.fields(self.model)):
-            raise KeyError(f"{name} is not among the fields that differ from world to world: {', '.join(OF_WORLDS)}")
+        if name not in (known := (*OF_WORLDS, *target_history.fields(self.model))):
+            raise KeyError(f"{name} is not among the fields that differ from world to world: {', '.join(known)}")
         return self._all.fields[name]
 
     def refresh_constants(self) -> None:

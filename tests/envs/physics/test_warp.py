@@ -19,6 +19,7 @@ from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.physics.base import Physics, StartState
 from skatemount.envs.physics.factory import make_physics
 from skatemount.envs.randomization import Randomizer
+from skatemount.envs.rolling import RollingResistance
 from skatemount.envs.state import SimState
 from skatemount.evaluation.suite_task import EvaluationTask, load_suite
 from skatemount.profiling.measure import measure_point
@@ -30,7 +31,7 @@ VARIED = ["start.board_fixed=0.5", "start.step_height=[0.0,0.088]", "start.force
 VARIED += ["start.board_speed=[0.0,0.5]", "start.yaw=[-3.0,3.0]"]
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)]
 TOLERANCES = {
-    **dict.fromkeys(("base_pos", "board_pos", "foot_pos", "foot_pos_board", "ground_height"), 2e-3),  # m
+    **dict.fromkeys(("base_pos", "board_pos", "foot_pos", "foot_pos_board", "ground_height"), 1e-3),  # m
     **dict.fromkeys(("base_rot", "board_rot", "gravity", "joint_pos", "truck_angle"), 5e-3),  # 1, rad
     **dict.fromkeys(("base_lin_vel", "board_lin_vel", "foot_vel"), 2e-2),  # m/s
     **dict.fromkeys(("base_ang_vel", "board_ang_vel", "joint_vel"), 0.1),  # rad/s
@@ -98,6 +99,8 @@ def test_a_hundred_steps_like_those_of_the_cpu_engine(task: MountTask, pair: tup
         randomizer = Randomizer(task.config.randomization, physics.index, physics.model, generator)
         randomizer.build_worlds(physics)
         randomizer.new_episodes(physics, torch.arange(WORLDS))
+    coefficient = task.config.board.rolling_resistance
+    wheels = [RollingResistance(coefficient, physics.model, physics.index, physics.device) for physics in pair]
     generator = torch.Generator().manual_seed(1)
     nominal, seen, pressed = torch.zeros(WORLDS, 12), [], 0
     for step in range(108):
@@ -108,7 +111,8 @@ def test_a_hundred_steps_like_those_of_the_cpu_engine(task: MountTask, pair: tup
                 physics.reset(mask, start[mask])
             nominal = torch.where(mask.unsqueeze(1), start.joint_pos, nominal)
         targets = nominal + 0.05 * torch.randn(WORLDS, 12, generator=generator)
-        for physics in pair:
+        for physics, each in zip(pair, wheels, strict=True):
+            each.apply(physics, physics.state())
             physics.step(targets, SUBSTEPS)
         a, b = (physics.state() for physics in pair)
         seen.append((a, b))
@@ -290,7 +294,9 @@ def test_a_policy_succeeds_as_often_on_both_engines(capsys: pytest.CaptureFixtur
         for name, result in results.items():
             print(f"\n{name}: {result.successes} of {result.episodes}, interval {result.interval}")
     (low, high), (other_low, other_high) = (result.interval for result in results.values())
-    assert low <= other_high and other_low <= high
+    cpu, warp = (result.successes for result in results.values())
+    # A rate of 1 lies outside of the interval of any lower rate, be it by one episode.
+    assert abs(cpu - warp) <= 1 or (low <= warp / 48 <= high and other_low <= cpu / 48 <= other_high)
     # The same episodes: from the same starts.
     first, second = (result.records.start for result in results.values())
     torch.testing.assert_close(first, second, atol=1e-4, rtol=0)
