@@ -234,7 +234,7 @@ def pages() -> dict[str, tuple[str, str]]:
         "commands": command_page(),
         "robots": group_page("Robots", "`robot=<name>` chooses the robot.", "robot"),
         "boards": group_page("Boards", "`board=<name>` chooses the skateboard.", "board"),
-        "sensing": group_page("Sensing", "`sensing=<name>` chooses the errors of the sensors and the delays.", "sensing"),
+        "sensing": group_page("Sensing", "`sensing=<name>` chooses the sensors' errors and the delays.", "sensing"),
         "tasks": tasks_page(),
         "stages": stages_page(),
         "suites": suites_page(),
