@@ -36,6 +36,7 @@ from golden_commands import OLD, SPEED  # noqa: E402
 
 PARTS = ("settings", "models", "steps", "updates", "policies", "episodes", "weights")
 
+
 def main() -> None:
     """Dump both versions, compare, time."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
