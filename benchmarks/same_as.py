@@ -2,11 +2,13 @@
 
     python benchmarks/same_as.py 5ce7322
     python benchmarks/same_as.py 5ce7322 --parts settings models --no-speed
+    python benchmarks/same_as.py 5ce7322 --parts            only the timing
 
 Both versions run on this machine, in turn, in the same environment: the other commit from a temporary checkout. What
 is compared is listed in `tests/golden/golden_commands.py`. Names that have changed since are translated first, by the
-table that also reads saved runs and policy cards. The script ends with status 1 if anything differs, or if training
-is slower than `--least` times the other version's speed.
+table that also reads saved runs and policy cards. Where default physics has changed since, this version gets the
+physics of commit 5ce7322. The script ends with status 1 if anything differs, or if training is slower than `--least`
+times the other version's speed.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ def main() -> None:
     """Dump both versions, compare, time."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("commit", help="the other version")
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to compare (default: all)")
+    parser.add_argument("--parts", nargs="*", choices=PARTS, default=PARTS, help="what to compare (default: all)")
     parser.add_argument("--no-speed", action="store_true", help="leave out the timing")
     parser.add_argument("--rounds", type=int, default=8, help="turns of each version's training (default 8)")
     parser.add_argument("--iterations", type=int, default=3, help="timed in each turn (default 3)")
@@ -101,7 +103,9 @@ def speed_ratio(other: Path, rounds: int, iterations: int) -> float:
     measured within seconds of each other. The speed of a shared machine can change by a fifth in a minute.
     """
     ratios = []
-    with paused_training(other) as theirs, paused_training(ROOT) as ours:
+    line = SPEED.format(frames=10**9)
+    our_line = adapter.training_line(line)
+    with paused_training(other, line) as theirs, paused_training(ROOT, our_line) as ours:
         for i in range(rounds):
             # The order alternates: a machine that slows down during a round must not favor one version.
             turns = [theirs, ours] if i % 2 == 0 else [ours, theirs]
@@ -114,10 +118,10 @@ def speed_ratio(other: Path, rounds: int, iterations: int) -> float:
 
 
 @contextmanager
-def paused_training(tree: Path) -> Iterator[PausedTraining]:
+def paused_training(tree: Path, line: str) -> Iterator[PausedTraining]:
     """Start a training with the code of a tree, stop it after its first two iterations, and end it with the block."""
     with tempfile.TemporaryDirectory() as folder:
-        training = PausedTraining(tree, Path(folder))
+        training = PausedTraining(tree, line, Path(folder))
         try:
             training.run(2)
             yield training
@@ -130,12 +134,13 @@ class PausedTraining:
 
     Args:
         tree: The code.
+        line: Settings of the training.
         folder: For its run folder and its output.
     """
 
-    def __init__(self, tree: Path, folder: Path):
+    def __init__(self, tree: Path, line: str, folder: Path):
         self._root, self._output = folder / "runs", folder / "output"
-        command = [sys.executable, "-m", "skatemount.train", *SPEED.format(frames=10**9).split()]
+        command = [sys.executable, "-m", "skatemount.train", *line.split()]
         with self._output.open("w") as output:
             self._process = subprocess.Popen(
                 [*command, f"logger.root={self._root}"],
