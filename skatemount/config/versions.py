@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 from typing import Any
 
+from skatemount.envs.config.boards import RANGES
 from skatemount.runs.shipped import ALIASES
 from skatemount.utils.errors import ConfigError
 
@@ -58,6 +59,12 @@ ADDED_LATER: dict[str, Any] = {
     "algorithm.kind": "ppo",
     "algorithm.params": {},
     "board.rolling_resistance": 0.0,
+    "boards": {
+        **dict.fromkeys(RANGES),
+        "count": 0,
+        "seed": None,
+        "fixed": [],
+    },
     "callbacks": [],
     "command.board_point": "deck",
     "logger.dump_diverged": 0,

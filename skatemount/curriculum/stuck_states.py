@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs import success
-from skatemount.envs.config.board import SkateboardConfig
+from skatemount.envs.boards import AnyBoard
 from skatemount.envs.geometry import quat_from_matrix, rotate
 from skatemount.envs.mdp import StepResult
 from skatemount.envs.mount_env import MountEnv
@@ -40,12 +40,12 @@ def half_mounted(sim: SimState, episode: EpisodeState) -> Tensor:
     return (feet > 0) & (feet < episode.on_deck.shape[1]) & upright & (success.deck_level(sim) > math.cos(MAX_TILT))
 
 
-def to_start_states(sim: SimState, board: SkateboardConfig) -> StartState:
+def to_start_states(sim: SimState, board: AnyBoard) -> StartState:
     """Turn states into initial states, with robot and board moved together to the board's usual initial pose.
 
     Args:
         sim: ``[N]`` states.
-        board: Settings of the board.
+        board: Settings of the board, or sizes of ``[N]`` boards.
 
     Returns:
         ``[N]`` initial states without an external wrench and with bin -1.
@@ -71,6 +71,8 @@ def to_start_states(sim: SimState, board: SkateboardConfig) -> StartState:
 
 class StuckStateBuffer:
     """A buffer of stuck, half-mounted states of an environment, from which a share of its episodes begin.
+
+    If boards vary, a state is used in the world that it comes from only, because its feet stand on that world's deck.
 
     Args:
         env: The environment. The buffer listens to it and transforms the initial states drawn from now on.
@@ -99,7 +101,12 @@ class StuckStateBuffer:
             return
         rows = rows[torch.randperm(len(rows), generator=env.generator, device=rows.device)[:PER_STEP]]
         # Mypy does not know the indexing of a tensorclass.
-        new = to_start_states(env.sim[rows], env.task.scene.board.config)  # type: ignore[index]
+        sim = env.sim[rows]  # type: ignore[index]
+        if env.boards is None:
+            new = to_start_states(sim, env.task.config.board)
+        else:
+            new = to_start_states(sim, env.boards.sizes[rows].to(torch.float32))
+            new.world = rows
         self._kept = new if self._kept is None else StartState.cat([self._kept, new])[-SIZE:]
 
     def replace_fraction(self, starts: StartState, generator: torch.Generator) -> StartState:
@@ -116,9 +123,32 @@ class StuckStateBuffer:
             return starts
         n = len(starts)
         replaced = (uniform((n,), generator) < self._share) & (starts.bin < 0)
-        picked = self._kept[torch.randint(len(self._kept), (n,), generator=generator, device=generator.device)]
+        if starts.world is None:
+            chosen = torch.randint(len(self._kept), (n,), generator=generator, device=generator.device)
+        else:
+            chosen, found = self._of_same_world(starts.world, generator)
+            replaced &= found
+        picked = self._kept[chosen]
         picked.force, picked.torque = starts.force, starts.torque
         return StartState.where(replaced, picked, starts)
+
+    def _of_same_world(self, worlds: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Choose a kept state of the same world for each initial state, because it fits that world's board.
+
+        Args:
+            worlds: ``[n]`` int64.
+            generator: Source of randomness.
+
+        Returns:
+            ``[n]`` int64, index of the kept state, and ``[n]`` bool, whether there is one.
+        """
+        assert self._kept is not None and self._kept.world is not None
+        order = self._kept.world.argsort(stable=True)
+        counts = torch.bincount(self._kept.world, minlength=self._env.num_worlds)
+        number = (uniform((len(worlds),), generator) * counts[worlds]).long()
+        first = counts.cumsum(0) - counts
+        place = (first[worlds] + number).clamp(max=len(order) - 1)
+        return order[place], counts[worlds] > 0
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return the kept states by field; empty if there are none yet."""

@@ -13,7 +13,7 @@ from skatemount.envs.state import EpisodeState, SimState
 from skatemount.utils.classes import made
 
 
-def toward_board(sim: SimState, direction: Tensor | None = None, depth: float = 0.0) -> Tensor:
+def toward_board(sim: SimState, direction: Tensor | None = None, depth: float | Tensor = 0.0) -> Tensor:
     """Compute the velocity command toward the board by the law of the paper's code.
 
     Let p be the board's position in the trunk frame, psi its yaw, and theta the bearing of p. Within 0.5 m the command
@@ -24,13 +24,13 @@ def toward_board(sim: SimState, direction: Tensor | None = None, depth: float = 
         direction: ``[N, 1]`` the end of the board that psi is the yaw of, as in `EpisodeState.board_direction`. If
             None, the end that the board's x axis points to (paper's code).
         depth: Distance of p below the center of the deck's top, along the board's z axis, m. The height of the deck
-            gives the point on the ground that the paper's code uses.
+            gives the point on the ground that the paper's code uses. ``[N, 1]`` if boards vary.
 
     Returns:
         ``[N, 3]``: forward and left in m/s, turn left in rad/s.
     """
     position, x_axis = sim.board_pos_base, sim.board_rot_base[..., 0]
-    if depth:
+    if isinstance(depth, Tensor) or depth:
         position = position - depth * sim.board_rot_base[..., 2]
     if direction is not None:
         x_axis = x_axis * direction
@@ -49,7 +49,7 @@ class CommandGenerator:
         config: Settings of the commands.
         control_step: Time between two actions, s.
         generator: Source of randomness.
-        deck_height: Height of the deck's top above the floor at rest, m.
+        deck_height: Height of the deck's top above the floor at rest, m; not used if boards vary.
     """
 
     def __init__(
@@ -76,7 +76,10 @@ class CommandGenerator:
             self._own.update(sim, episode)
         elif self._config.mode == "board":
             direction = episode.board_direction if self._config.turn_to == "nearer" else None
-            episode.command = toward_board(sim, direction, self._depth)
+            depth: float | Tensor = self._depth
+            if depth and sim.board_sizes is not None:
+                depth = sim.board_sizes[:, 2:3]
+            episode.command = toward_board(sim, direction, depth)
         elif self._config.mode == "sampled":
             due = episode.command_steps <= 0
             episode.command = torch.where(due.unsqueeze(1), self._draw(len(due)), episode.command)

@@ -152,12 +152,12 @@ def board_direction(rotation: Tensor, before: Tensor | None = None) -> Tensor:
     return torch.where(ahead * before < -ACROSS, -before, before)
 
 
-def beyond_rectangle(xy: Tensor, half: tuple[float, float]) -> tuple[Tensor, Tensor]:
+def beyond_rectangle(xy: Tensor, half: tuple[float | Tensor, float | Tensor]) -> tuple[Tensor, Tensor]:
     """Compute the distances of points beyond a rectangle about the origin along each axis, negative inside.
 
     Args:
         xy: ``[..., 2]`` m; further columns are ignored.
-        half: Half length (x) and half width (y), m.
+        half: Half length (x) and half width (y), m: numbers, or tensors that broadcast to ``[...]``.
 
     Returns:
         ``[...]`` m along x, and ``[...]`` m along y.

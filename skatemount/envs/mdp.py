@@ -96,7 +96,7 @@ class Mdp:
             [*self.rewards.memory, *self.terminations.memory, *observing], observing, self.context, self.device
         )
         self._command_generator = CommandGenerator(
-            config.command, self.context.control_step, generator, self.context.deck_height
+            config.command, self.context.control_step, generator, scene.deck_height
         )
         # The time constant of `EpisodeState.soft_success` is 0.35 s.
         self._soft_success_decay = math.exp(-self.context.control_step / 0.35)
@@ -190,7 +190,7 @@ class Mdp:
         episode.command_error = episode.command_error + torch.stack((velocity, turn), 1)
         episode.mounted = success.is_mounted(sim, episode.off_time, episode.foot_off_deck_contact)
         near = success.nearly_mounted(
-            sim, episode.foot_off_deck_contact, self.context.deck_half, self.context.foot_radius
+            sim, episode.foot_off_deck_contact, self.context.deck_half_of(sim), self.context.foot_radius
         )
         episode.soft_success = torch.lerp(near, episode.soft_success, self._soft_success_decay)
         episode.mounted_time = torch.where(episode.mounted, episode.mounted_time + step, 0.0)

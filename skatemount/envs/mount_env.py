@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from skatemount.envs.boards import Boards
 from skatemount.envs.divergence import Divergence
 from skatemount.envs.drive import Drive
 from skatemount.envs.episode_statistics import EpisodeStatistics
@@ -19,7 +20,8 @@ from skatemount.envs.physics.base import Physics, StartState
 from skatemount.envs.physics.factory import make_physics
 from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.rolling import RollingResistance
-from skatemount.envs.starts import StartPoseSampler, StartQueue, StartTransform
+from skatemount.envs.start_queue import make_queue
+from skatemount.envs.starts import StartPoseSampler, StartTransform
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.task import MountTask
 from skatemount.utils.devices import plain_defaults, torch_threads
@@ -62,6 +64,7 @@ class MountEnv(EnvBase):
     Attributes:
         task: The task.
         physics: The engine.
+        boards: The board of each world; None if all have the same.
         divergence: Counts the worlds whose physics fails, and copies them on request.
         statistics: Statistics of the episodes that ended.
         torch_threads: Number of torch's threads that a step uses, and that suits a policy's actions; None for all.
@@ -86,15 +89,12 @@ class MountEnv(EnvBase):
         self.is_closed = False
         self.task = task
         self.physics: Physics = physics
+        self.boards: Boards | None = None
         self.divergence = Divergence(physics, task.config)
         self.generator = torch.Generator(physics.device)
         self.mdp = task.make_mdp(self.generator)
         if max_mounted_time is not None:
             self.mdp.max_mounted_time = max_mounted_time
-        self._resistance = RollingResistance(
-            task.config.board.rolling_resistance, physics.model, physics.index, physics.device
-        )
-        self._drive = Drive(task.config.start.drive, self._resistance)
         self.statistics = EpisodeStatistics(self.mdp, n)
         self.listeners: list[Listener] = [self.statistics.add]
         self._sample_poses: StartPoseSampler | None = None
@@ -149,10 +149,16 @@ class MountEnv(EnvBase):
         """Draw everything random again from a seed: physics, start states, pushes and noise."""
         self.generator.manual_seed(0 if seed is None else int(seed))
         config, n = self.task.config, self.num_worlds
+        physics = self.physics
+        self.boards, of_boards = self.task.give_boards(physics, 0 if seed is None else int(seed))
+        mass = None if self.boards is None else self.boards.sizes.mass
+        self._resistance = RollingResistance(
+            config.board.rolling_resistance, physics.model, physics.index, physics.device, mass
+        )
+        self._drive = Drive(config.start.drive, self._resistance)
         self._rebuild_start_queue()
         self._pushes = Pushes(config.randomization, n, self.mdp.context.control_step, self.generator)
-        physics = self.physics
-        self._randomizer = Randomizer(config.randomization, physics.index, physics.model, self.generator)
+        self._randomizer = Randomizer(config.randomization, physics.index, physics.model, self.generator, of_boards)
         self._randomizer.build_worlds(physics)
         self._episode = EpisodeState.zeros(n, self.mdp.context.layout, self.mdp.observation.size, self.device)
         self._privileged = torch.zeros(n, self.mdp.privileged.size, device=self.device)
@@ -221,7 +227,7 @@ class MountEnv(EnvBase):
         """
         with torch_threads(self.torch_threads):
             rows = mask.nonzero().squeeze(1)
-            return rows, self._begin(mask, rows, self._queue.take(len(rows)))
+            return rows, self._begin(mask, rows, self._queue.take_for(rows))
 
     def _begin(self, mask: Tensor, rows: Tensor, start: StartState) -> dict[str, Tensor]:
         with torch.inference_mode():
@@ -271,8 +277,8 @@ class MountEnv(EnvBase):
 
     @plain_defaults
     def _rebuild_start_queue(self) -> None:
-        sampler = self.task.make_sampler(self._sample_poses, self.device)
-        self._queue = StartQueue(sampler, max(self.num_worlds, 1024), self.generator, self._transform_starts)
+        sampler = self.task.make_sampler(self._sample_poses, self.device, self.boards)
+        self._queue = make_queue(sampler, self.num_worlds, self.generator, self._transform_starts)
 
     @plain_defaults
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:

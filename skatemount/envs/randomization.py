@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Protocol
 
 import mujoco
@@ -38,15 +39,23 @@ class Randomizer:
         index: Ids of the scene.
         model: The compiled scene with the nominal values.
         generator: Source of randomness.
+        of_boards: ``[N, ...]`` nominal values of the fields that differ from board to board, by name; None if all
+            worlds have the same board.
     """
 
     def __init__(
-        self, config: RandomizationConfig, index: SceneIndex, model: mujoco.MjModel, generator: torch.Generator
+        self,
+        config: RandomizationConfig,
+        index: SceneIndex,
+        model: mujoco.MjModel,
+        generator: torch.Generator,
+        of_boards: Mapping[str, Tensor] | None = None,
     ):
         config.validate()
         self.config = config
         self._index = index
         self._model = model
+        self._of_boards = of_boards or {}
         self._generator = generator
 
     def _uniform(self, bounds: list[float], of: Tensor, *shape: int) -> Tensor:
@@ -54,8 +63,10 @@ class Randomizer:
         return uniform((len(of), *shape), self._generator, bounds, torch.float64).to(of.dtype)
 
     def _field(self, physics: ModelFields, name: str) -> tuple[Tensor, Tensor]:
-        """Return a field of every world, ``[N, ...]``, and its nominal value, ``[1, ...]``."""
+        """Return a field of every world, ``[N, ...]``, and its nominal value, ``[1, ...]`` or ``[N, ...]``."""
         values = physics.field(name)
+        if name in self._of_boards:
+            return values, self._of_boards[name].to(values)
         return values, torch.from_numpy(getattr(self._model, name)).unsqueeze(0).to(values)
 
     def build_worlds(self, physics: ModelFields) -> None:

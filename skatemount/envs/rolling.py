@@ -37,6 +37,7 @@ class RollingResistance:
         model: The compiled scene with the nominal values.
         index: Ids of the scene.
         device: Device of the worlds; the CPU if None.
+        board_mass: ``[N]`` nominal mass of each world's board, kg, on that device; None if all have the model's.
 
     Attributes:
         active: True if the resistance depends on the load.
@@ -49,6 +50,7 @@ class RollingResistance:
         model: mujoco.MjModel,
         index: SceneIndex,
         device: torch.device | None = None,
+        board_mass: Tensor | None = None,
     ):
         self.active = coefficient > 0
         wheels = index.board_dof[-4:]
@@ -59,7 +61,9 @@ class RollingResistance:
         self._bearings = torch.as_tensor(model.dof_frictionloss[wheels], dtype=torch.float32, device=device)
         self._radius = 1 / self._per_radius
         self._coefficient = coefficient
-        self._weight = float(-model.body_subtreemass[index.board_body] * model.opt.gravity[2])
+        mass = model.body_subtreemass[index.board_body] if board_mass is None else board_mass.float()
+        weight = -mass * float(model.opt.gravity[2])
+        self._weight = weight if isinstance(weight, Tensor) else float(weight)
         self.viscous = float(model.dof_damping[wheels] @ per_radius**2)
 
     def restart(self, worlds: ModelFields, rows: Tensor) -> None:

@@ -31,6 +31,8 @@ class Scene:
         solver: Time step and solver.
         delay_steps: Largest delay of the joint targets, physics steps. Above 0, the model remembers that many targets,
             and ``actuator_delay`` says which of them a world gets.
+        boards_vary: True if every world gets a board of its own, with other sizes than this one; see
+            `skatemount.envs.boards`.
     """
 
     def __init__(
@@ -39,8 +41,9 @@ class Scene:
         board: SkateboardConfig,
         solver: SolverConfig,
         delay_steps: int = 0,
+        boards_vary: bool = False,
     ):
-        self.solver, self.delay_steps = solver, delay_steps
+        self.solver, self.delay_steps, self.boards_vary = solver, delay_steps, boards_vary
         self.arena = MountArena()
         self.robot = Quadruped(config=robot)
         self.board = Skateboard(config=board)
@@ -94,6 +97,10 @@ class Scene:
             root.compiler.discardvisual = False
         # A copy, because the physics object frees its model when it is collected.
         return copy.copy(physics.model.ptr)
+
+    def with_board(self, board: SkateboardConfig) -> Scene:
+        """Build the same scene with another board."""
+        return Scene(self.robot.config, board, self.solver, self.delay_steps, self.boards_vary)
 
     def xml(self) -> str:
         """Return the scene as MuJoCo's XML, which compiles to the model without what is only drawn."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from skatemount.envs.boards import AnyBoard, BoardOutline, BoardSizes
 from skatemount.envs.config.board import SkateboardConfig
 from skatemount.envs.config.starts import StartConfig
 from skatemount.envs.geometry import (
@@ -30,6 +31,8 @@ from skatemount.utils.errors import ConfigError
 _LEVEL = [0.0, 0.0]
 _ROUNDS = 40
 """Number of batches of candidates to draw before giving up."""
+_LEAST = 256
+"""Number of candidates below which a batch costs as much as one of this size."""
 
 
 @dataclass
@@ -73,6 +76,8 @@ class StartSampler:
         context: Constants of the task.
         board: Settings of the board.
         sample_poses: Draws the poses; they come from the ranges if None.
+        boards: Sizes of the worlds' boards if they vary. Heights of the step down to the robot's floor, which settings
+            and ``sample_poses`` give for ``board``, then become the same share of each board's own deck height.
 
     Raises:
         ConfigError: A range cannot be drawn from.
@@ -85,16 +90,20 @@ class StartSampler:
         context: TaskContext,
         board: SkateboardConfig,
         sample_poses: StartPoseSampler | None = None,
+        boards: BoardSizes | None = None,
     ):
         config.validate()
         if config.step_height is not None and not 0 <= config.step_height[0] <= config.step_height[1] <= (
-            context.deck_height
+            board.deck_height
         ):
             raise ConfigError(
                 f"start.step_height={config.step_height} must be within 0 and the deck's height of "
-                f"{context.deck_height} m; the robot's floor can only be raised, and only up to the deck"
+                f"{board.deck_height} m; the robot's floor can only be raised, and only up to the deck"
             )
-        for name, most in (("board_lean", board.max_lean), ("truck_angle", math.radians(board.truck_limit))):
+        lean = board.max_lean
+        if boards is not None:
+            lean = math.atan(float(boards.truck_sine.min()) * math.tan(math.radians(board.truck_limit)))
+        for name, most in (("board_lean", lean), ("truck_angle", math.radians(board.truck_limit))):
             bounds = getattr(config, name)
             if bounds is not None and max(-bounds[0], bounds[1]) > most:
                 raise ConfigError(
@@ -102,23 +111,26 @@ class StartSampler:
                     "their stops"
                 )
         self.config = config
-        self._board_config = board
+        self._board, self._boards = board, None if boards is None else boards.to(torch.float32)
         self._legs = legs
         self._along = torch.linspace(0.0, 1.0, 6)
         self._sample_poses = sample_poses
         self._context = context
-        self._deck = torch.tensor(context.deck_half)
-        # The wheels of a narrow board reach beyond the edges of its deck.
-        wheels = (board.wheelbase / 2 + board.wheel_radius, board.track / 2 + board.wheel_radius)
-        self._board = torch.maximum(self._deck, torch.tensor(wheels))
+        self._one_board = BoardOutline(board)
         self._nominal_feet = legs.feet(context.default_pose)
 
-    def draw(self, count: int, generator: torch.Generator) -> StartState:
+    @property
+    def boards_vary(self) -> bool:
+        """True if start states are drawn for worlds with boards of their own."""
+        return self._boards is not None
+
+    def draw(self, count: int, generator: torch.Generator, worlds: Tensor | None = None) -> StartState:
         """Draw valid start states.
 
         Args:
             count: Number of start states.
             generator: Source of randomness.
+            worlds: ``[count]`` int64, the worlds that they are for, if boards vary; the first ones, in turn, if None.
 
         Returns:
             ``[count]`` start states.
@@ -126,6 +138,10 @@ class StartSampler:
         Raises:
             ConfigError: Too few candidates within the ranges are valid.
         """
+        if self._boards is not None:
+            if worlds is None:
+                worlds = torch.arange(count, device=generator.device) % len(self._boards)
+            return self._draw_for(worlds, generator)
         parts: list[StartState] = []
         found = 0
         for _ in range(_ROUNDS):
@@ -134,18 +150,50 @@ class StartSampler:
             found += len(parts[-1])
             if found >= count:
                 return StartState.cat(parts)[:count]
+        raise self._no_room(found, _ROUNDS * count)
+
+    def _draw_for(self, worlds: Tensor, generator: torch.Generator) -> StartState:
+        """Draw a valid start state for each world, on its own board.
+
+        Args:
+            worlds: ``[n]`` int64.
+            generator: Source of randomness.
+
+        Returns:
+            ``[n]`` start states.
+        """
+        parts, places = [], []
+        missing = torch.arange(len(worlds), device=worlds.device)
+        tried = 0
+        for _ in range(_ROUNDS):
+            each = max(1, _LEAST // len(missing))
+            tried += each
+            candidates, valid = self._candidates(each * len(missing), generator, worlds[missing.repeat(each)])
+            valid = valid.view(each, -1)
+            found, first = valid.any(0), valid.to(torch.int8).argmax(0)
+            chosen = first * len(missing) + torch.arange(len(missing), device=worlds.device)
+            parts.append(candidates[chosen[found]])
+            places.append(missing[found])
+            missing = missing[~found]
+            if not len(missing):
+                return StartState.cat(parts)[torch.cat(places).argsort()]
+        sizes = self._boards[worlds[missing[:1]]]  # type: ignore[index]
+        deck = f"{float(sizes.deck_length):.3f} x {float(sizes.deck_width):.3f} m"
+        raise self._no_room(0, tried, f" on world {int(worlds[missing[0]])}'s deck of {deck}")
+
+    def _no_room(self, found: int, tried: int, deck: str = "") -> ConfigError:
         c = self.config
         where = f"start.x={c.x}, start.y={c.y}" if c.distance is None else f"start.distance={c.distance}"
         where += f", start.yaw={c.yaw}"
         if self._sample_poses is not None:
             where = "the start poses of the curriculum"
-        raise ConfigError(
-            f"{where} must leave room to stand: only {found} of {_ROUNDS * count} candidates keep every foot "
+        return ConfigError(
+            f"{where} must leave room to stand: only {found} of {tried} candidates{deck} keep every foot "
             f"{c.edge_margin} m off the deck's edge (start.edge_margin) and the legs out of board and ground"
         )
 
     def _within_ranges(self, n: int, generator: torch.Generator) -> StartPoses:
-        c, deck = self.config, self._context.deck_height
+        c, deck = self.config, self._board.deck_height
         if c.distance is not None:
             bearing = uniform((n,), generator, (0.0, 2 * math.pi))
             direction = torch.stack((bearing.cos(), bearing.sin()), 1)
@@ -163,13 +211,16 @@ class StartSampler:
             bin=torch.full((n,), -1, device=xy.device),
         )
 
-    def _candidates(self, n: int, generator: torch.Generator) -> tuple[StartState, Tensor]:
+    def _candidates(
+        self, n: int, generator: torch.Generator, worlds: Tensor | None = None
+    ) -> tuple[StartState, Tensor]:
         c, context = self.config, self._context
+        deck = self._one_board if self._boards is None else BoardOutline(self._boards[worlds])  # type: ignore[index]
         sample_poses = self._within_ranges if self._sample_poses is None else self._sample_poses
         poses = sample_poses(n, generator)
         if poses.from_stage_ranges is not None:
             poses = _select_rows(poses.from_stage_ranges, self._within_ranges(n, generator), poses)
-        xy, yaw, ground = poses.xy, poses.yaw, context.deck_height - poses.step_height
+        xy, yaw, ground = poses.xy, poses.yaw, self._ground(poses.step_height, worlds)
 
         def draw(bounds: list[float], *shape: int) -> Tensor:
             return uniform((n, *shape), generator, bounds)
@@ -178,7 +229,7 @@ class StartSampler:
         level = torch.zeros_like(yaw)
         heading = quat_to_matrix(quat_from_euler(level, level, yaw))
         nominal = self._nominal_feet.expand(n, -1, -1)
-        support = self._support(rotate(heading, nominal)[..., :2] + xy.unsqueeze(1), ground)
+        support = deck.support(rotate(heading, nominal)[..., :2] + xy.unsqueeze(1), ground)
         trunk = support.mean(1) + context.stance_height
         feet = nominal.clone()
         feet[..., 2] = support + context.foot_radius - trunk.unsqueeze(1)
@@ -191,13 +242,13 @@ class StartSampler:
         points = torch.cat((thighs, calves), -2).flatten(1, 2)
         world = (rotate(rotation, points) + offset.unsqueeze(1)).unflatten(1, (context.layout.num_feet, -1))
         foot = world[:, :, -1]
-        gap = foot[..., 2] - context.foot_radius - self._support(foot[..., :2], ground)
+        gap = foot[..., 2] - context.foot_radius - deck.support(foot[..., :2], ground)
         lift = -gap.amin(1) + draw(c.height)
         offset[:, 2] += lift
         world[..., 2] += lift[:, None, None]
 
-        free = ~self._inside(world[:, :, :-1], ground).any((1, 2))
-        valid = free & ~self._near_edge(world[:, :, -1, :2]).any(1)
+        free = ~deck.inside(world[:, :, :-1], ground, self._legs.radius).any((1, 2))
+        valid = free & ~deck.near_edge(world[:, :, -1, :2], context.foot_radius, c.edge_margin).any(1)
         start = StartState(
             base_pos=offset,
             base_quat=quat,
@@ -211,21 +262,31 @@ class StartSampler:
             bin=poses.bin,
             force=draw(c.force, 3),
             torque=draw(c.torque, 3),
+            world=worlds,
         )
         if c.board_lean != _LEVEL or c.truck_angle is not None or c.move_with_board:
-            on_board = (world[:, :, -1, :2].abs() < self._deck).all(-1).all(-1)
-            start = self._ride(start, on_board & ~poses.board_fixed, generator)
+            on_board = (world[:, :, -1, :2].abs() < deck.half).all(-1).all(-1)
+            start = self._ride(start, on_board & ~poses.board_fixed, deck.board, generator)
         return start, valid
 
-    def _ride(self, start: StartState, riding: Tensor, generator: torch.Generator) -> StartState:
+    def _ground(self, step: Tensor, worlds: Tensor | None) -> Tensor:
+        """Compute the height of the robot's floor for steps that are given for the settings' board, ``[n]`` m."""
+        if self._boards is None:
+            return self._board.deck_height - step
+        # Exactly 0 for a step of the whole deck's height.
+        share = 1 - step / step.new_tensor(self._board.deck_height)
+        return share * self._boards.deck_height[worlds]
+
+    def _ride(self, start: StartState, riding: Tensor, board: AnyBoard, generator: torch.Generator) -> StartState:
         """Let the board lean and turn under robots that ride it, and move these with it.
 
         Args:
             start: ``[n]`` start states with a level board at the origin.
             riding: ``[n]`` bool, true for a free board that the robot stands on with every foot.
+            board: Settings of the board, or sizes of ``[n]`` boards.
             generator: Source of randomness.
         """
-        c, board, n = self.config, self._board_config, len(riding)
+        c, n = self.config, len(riding)
         if c.truck_angle is None:
             lean = uniform((n,), generator, c.board_lean) if c.board_lean != _LEVEL else start.board_speed.new_zeros(n)
         else:
@@ -235,7 +296,8 @@ class StartSampler:
         # The robot turns about the deck's center, which stays above the origin, and sinks with it.
         zero = torch.zeros_like(lean)
         roll = quat_from_euler(lean, zero, zero)
-        center = start.base_pos.new_tensor([0.0, 0.0, board.deck_height])
+        center = torch.zeros_like(start.base_pos)
+        center[:, 2] = board.deck_height
         position = center + rotate(quat_to_matrix(roll), start.base_pos - center)
         position[:, 2] -= deck_drop(lean, board)
         start.base_pos = where_rows(riding, position, start.base_pos)
@@ -258,21 +320,6 @@ class StartSampler:
         speed = uniform((n,), generator, bounds) * either_sign(n, generator)
         return torch.where(fixed, 0.0, speed)
 
-    def _support(self, xy: Tensor, ground: Tensor) -> Tensor:
-        over = (xy.abs() < self._deck).all(-1)
-        return torch.where(over, self._context.deck_height, ground.unsqueeze(1))
-
-    def _near_edge(self, xy: Tensor) -> Tensor:
-        margin = self.config.edge_margin
-        outer = (xy.abs() < self._board + self._context.foot_radius + margin).all(-1)
-        inner = (xy.abs() < self._deck - margin).all(-1)
-        return outer & ~inner
-
-    def _inside(self, points: Tensor, ground: Tensor) -> Tensor:
-        over = (points[..., :2].abs() < self._board + self._legs.radius).all(-1)
-        support = torch.where(over, self._context.deck_height, ground[:, None, None])
-        return points[..., 2] < support + self._legs.radius
-
 
 def _select_rows(mask: Tensor, first: StartPoses, second: StartPoses) -> StartPoses:
     """Take the first's rows where the ``[N]`` bool mask is true, the second's where it is false."""
@@ -285,7 +332,7 @@ def _select_rows(mask: Tensor, first: StartPoses, second: StartPoses) -> StartPo
     )
 
 
-def start_from_state(sim: SimState, board: SkateboardConfig) -> StartState:
+def start_from_state(sim: SimState, board: AnyBoard) -> StartState:
     """Make start states that continue the present states of worlds.
 
     The board keeps its place, heading, lean, truck angles, speed and turning rate. Its pitch, its vertical motion and
@@ -293,7 +340,7 @@ def start_from_state(sim: SimState, board: SkateboardConfig) -> StartState:
 
     Args:
         sim: ``[N]`` states, such as some rows of an environment's.
-        board: Settings of the board.
+        board: Settings of the board, or sizes of ``[N]`` boards.
 
     Returns:
         ``[N]`` start states without an external wrench and with bin -1.
@@ -322,56 +369,3 @@ def start_from_state(sim: SimState, board: SkateboardConfig) -> StartState:
         board_lean=lean,
         truck_angle=sim.truck_angle.clone(),
     )
-
-
-class StartQueue:
-    """A queue of start states that are drawn ahead.
-
-    Drawing a few start states costs as much as drawing a thousand, so they are drawn in batches. Worlds take them in
-    the order of drawing, which depends on the generator only.
-
-    Args:
-        sampler: Source of the start states.
-        size: Number of start states in a batch.
-        generator: Source of randomness.
-        transform: Applied to every batch; no transform if None.
-    """
-
-    def __init__(
-        self, sampler: StartSampler, size: int, generator: torch.Generator, transform: StartTransform | None = None
-    ):
-        self._sampler = sampler
-        self._size = size
-        self._generator = generator
-        self._transform = transform
-        self._starts: StartState | None = None
-        self._next = 0
-
-    def take(self, count: int) -> StartState:
-        """Take the next start states from the queue.
-
-        Args:
-            count: Number of start states.
-
-        Returns:
-            ``[count]`` start states.
-        """
-        while self._starts is None or self._next + count > len(self._starts):
-            more = self._sampler.draw(self._size, self._generator)
-            if self._transform is not None:
-                more = self._transform(more, self._generator)
-            # The rest of the last batch comes first, so that no start state is skipped.
-            self._starts = more if self._starts is None else StartState.cat([self._starts[self._next :], more])
-            self._next = 0
-        taken = slice(self._next, self._next + count)
-        self._next += count
-        return self._starts[taken]
-
-    def state_dict(self) -> dict[str, Tensor]:
-        """Return the start states that are left, by field; empty if none are drawn yet."""
-        return {} if self._starts is None else self._starts[self._next :].state_dict()
-
-    def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Restore what `state_dict` returned."""
-        self._starts = StartState.from_state_dict(state, self._generator.device) if state else None
-        self._next = 0

@@ -57,6 +57,8 @@ class SimState:
         board_fixed: ``[N]`` bool, whether the deck is welded to the world.
         board_age: ``[N]`` time since the board's pose was measured, s; None in a true state, whose pose is the present
             one. See `skatemount.envs.sensing`.
+        board_sizes: ``[N, 5]`` half length, half width and height of the deck, half wheelbase and half track, m; None
+            if all worlds have the same board. `TaskContext.deck_half_of` and its like read it.
     """
 
     base_pos: Tensor
@@ -87,6 +89,7 @@ class SimState:
     ground_height: Tensor
     board_fixed: Tensor
     board_age: Tensor | None = None
+    board_sizes: Tensor | None = None
 
     @classmethod
     def at_rest(cls, num_worlds: int, layout: JointLayout, device: torch.device | None = None) -> SimState:
@@ -134,7 +137,14 @@ class StateReader:
         self._where = slice(sensors[0][1][0].start, sensors[-1][1][0].stop)
         assert sum(self._sizes) == self._where.stop - self._where.start
 
-    def read(self, sensordata: Tensor, joint_acc: Tensor, ground_height: Tensor, board_fixed: Tensor) -> SimState:
+    def read(
+        self,
+        sensordata: Tensor,
+        joint_acc: Tensor,
+        ground_height: Tensor,
+        board_fixed: Tensor,
+        board_sizes: Tensor | None = None,
+    ) -> SimState:
         """Build the state, which takes over the tensors: the caller must not change them afterwards.
 
         Args:
@@ -142,6 +152,7 @@ class StateReader:
             joint_acc: ``[N, J]`` rad/s^2.
             ground_height: ``[N]`` m.
             board_fixed: ``[N]`` bool.
+            board_sizes: ``[N, 5]`` m, see `SimState`; None if all worlds have the same board.
 
         Returns:
             ``[N]`` states, with views of the tensors.
@@ -165,6 +176,7 @@ class StateReader:
             board_rot_base=parts.pop("board_in_base_axes").mT,
             ground_height=ground_height,
             board_fixed=board_fixed,
+            board_sizes=board_sizes,
             **parts,
             batch_size=[n],
         )

@@ -71,14 +71,14 @@ def is_mounted(sim: SimState, off_time: Tensor, off_deck_contact: Tensor) -> Ten
 
 
 def nearly_mounted(
-    sim: SimState, off_deck_contact: Tensor, deck_half: tuple[float, float], foot_radius: float
+    sim: SimState, off_deck_contact: Tensor, deck_half: tuple[float | Tensor, float | Tensor], foot_radius: float
 ) -> Tensor:
     """Compute the fraction of the feet that are over the deck and at most 2 cm above it.
 
     Args:
         sim: The state.
         off_deck_contact: ``[N]`` bool, true where a foot presses on anything other than the deck.
-        deck_half: Half length and half width of the deck, m.
+        deck_half: Half length and half width of the deck, m; ``[N, 1]`` each if boards vary.
         foot_radius: Radius of a foot, m.
 
     Returns:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -14,11 +15,13 @@ from dm_control import composer
 from dm_control.composer.observation import observable
 from torch import Tensor
 
+from skatemount.envs.boards import Boards
 from skatemount.envs.config.task import TaskConfig
 from skatemount.envs.drive import Drive
 from skatemount.envs.legs import Legs
 from skatemount.envs.mdp import Mdp, StepResult
-from skatemount.envs.physics.base import StartState
+from skatemount.envs.physics.base import Physics, StartState
+from skatemount.envs.physics.board_models import BoardModels
 from skatemount.envs.physics.board_start import BoardStart
 from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.rolling import RollingResistance
@@ -27,6 +30,7 @@ from skatemount.envs.starts import StartPoseSampler, StartSampler
 from skatemount.envs.state import EpisodeState, SimState, StateReader
 from skatemount.envs.terms import TaskContext
 from skatemount.utils.devices import plain_defaults
+from skatemount.utils.errors import ConfigError
 
 
 class MountTask(composer.Task):
@@ -58,10 +62,12 @@ class MountTask(composer.Task):
         config.validate_terms()
         self.config = config
         _, delay_steps = config.sensing.delay_steps(config.physics.timestep)
-        self.scene = Scene(config.robot, config.board, config.physics, delay_steps)
+        self.scene = Scene(config.robot, config.board, config.physics, delay_steps, config.boards.vary)
+        self._boards: Boards | None = None
         self._generator = torch.Generator().manual_seed(0)
         self._mdp = self.make_mdp(self._generator)
-        self._sampler = self.make_sampler()
+        if not config.boards.vary:
+            self._sampler = self.make_sampler()
         self._episode = EpisodeState.zeros(1, self._mdp.context.layout, self._mdp.observation.size)
         self._outcome: StepResult | None = None
         self._sim: SimState | None = None
@@ -83,18 +89,22 @@ class MountTask(composer.Task):
         return Mdp(self.config, self.scene, generator)
 
     def make_sampler(
-        self, sample_poses: StartPoseSampler | None = None, device: torch.device | None = None
+        self,
+        sample_poses: StartPoseSampler | None = None,
+        device: torch.device | None = None,
+        boards: Boards | None = None,
     ) -> StartSampler:
         """Build the source of start states.
 
         Args:
             sample_poses: Draws the poses; they come from the ranges of the start settings if None.
             device: Device of the start states and of the generators that draw them; the CPU if None.
+            boards: The worlds' boards if they vary.
         """
         with device or torch.device("cpu"):
             context = TaskContext.of(self.scene, self.config.episode_length)
-            legs = Legs(self.scene.robot.spec)
-            return StartSampler(self.config.start, legs, context, self.scene.board.config, sample_poses)
+            legs, sizes = Legs(self.scene.robot.spec), None if boards is None else boards.sizes
+            return StartSampler(self.config.start, legs, context, self.config.board, sample_poses, sizes)
 
     @property
     def root_entity(self) -> composer.Arena:
@@ -131,17 +141,55 @@ class MountTask(composer.Task):
             (self._mdp.context.layout.num_joints,), np.float32, -bound, bound, name="action"
         )
 
+    @functools.cached_property
+    def board_models(self) -> BoardModels:
+        """The compiler of the task's scene with other boards."""
+        return BoardModels(self.scene)
+
+    def give_boards(self, physics: Physics, seed: int) -> tuple[Boards, dict[str, Tensor]] | tuple[None, None]:
+        """Draw a board for every world of an engine, if boards vary.
+
+        Args:
+            physics: The worlds.
+            seed: Seed of the worlds.
+
+        Returns:
+            The boards, and their ``[N, ...]`` model fields by name; twice None if boards do not vary.
+        """
+        config = self.config
+        if not config.boards.vary:
+            return None, None
+        boards = Boards.draw(config.boards, config.board, physics.num_worlds, seed, physics.device)
+        return boards, self.board_models.give(physics, boards)
+
+    @plain_defaults
+    def initialize_episode_mjcf(self, random_state: np.random.RandomState) -> None:
+        """Draw a board and build the scene with it, if boards vary."""
+        config = self.config
+        if config.boards.vary:
+            self._boards = Boards.draw(config.boards, config.board, 1, int(random_state.randint(2**31)))
+            self.scene = self.scene.with_board(self._boards.of_world[0])
+            self._sampler = self.make_sampler(boards=self._boards)
+
     def after_compile(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Look up the ids of the compiled scene, and copy its nominal values."""
         self._index = SceneIndex.of(self.scene, physics.model.ptr)
         self._nominal = copy.copy(physics.model.ptr)
-        self._resistance = RollingResistance(self.config.board.rolling_resistance, self._nominal, self._index)
+        mass = None if self._boards is None else self._boards.sizes.mass
+        self._resistance = RollingResistance(
+            self.config.board.rolling_resistance, self._nominal, self._index, board_mass=mass
+        )
         self._drive = Drive(self.config.start.drive, self._resistance)
         self._sim = None
 
     @plain_defaults
     def initialize_episode(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Draw randomized physics and a start state, and begin an episode there."""
+        if self.config.boards.vary and self._boards is None:
+            raise ConfigError(
+                "boards=varied draws a board for each episode: composer.Environment must have "
+                "recompile_mjcf_every_episode=True"
+            )
         self._generator.manual_seed(int(random_state.randint(2**31)))
         world = _SingleWorld(physics)
         randomizer = Randomizer(self.config.randomization, self._index, self._nominal, self._generator)
@@ -252,6 +300,7 @@ class MountTask(composer.Task):
             torch.tensor(np.array(data.qacc[index.joint_dof]), dtype=torch.float32).unsqueeze(0),
             torch.tensor([data.mocap_pos[index.floor_mocap, 2]], dtype=torch.float32),
             torch.tensor([bool(data.eq_active[index.weld])]),
+            None if self._boards is None else self._boards.columns,
         )
 
 

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 import torch
@@ -44,6 +44,7 @@ class TaskContext:
         soft_limits: ``[J, 2]`` lower and upper bound of the middle 90 % of the joint ranges, rad.
         deck_half: Half length and half width of the deck, m.
         deck_height: Height of the deck's top above the board's floor at rest, m.
+        wheels_half: Half wheelbase and half track of the board, m.
         foot_radius: Radius of a foot, m.
         stance_height: Height of the trunk's center above the soles in the default pose, m.
         episode_steps: Control steps of a full episode.
@@ -55,6 +56,7 @@ class TaskContext:
     soft_limits: Tensor
     deck_half: tuple[float, float]
     deck_height: float
+    wheels_half: tuple[float, float]
     foot_radius: float
     stance_height: float
     episode_steps: int
@@ -76,17 +78,52 @@ class TaskContext:
         default = torch.as_tensor(np.asarray(robot.default_pose), dtype=torch.float32)
         feet = Legs(robot.spec).feet(default)
         step = scene.solver.control_step
-        return cls(
+        kind = ContextOfBoards if scene.boards_vary else cls
+        return kind(
             control_step=step,
             layout=robot.layout,
             default_pose=default,
             soft_limits=torch.stack((middle - 0.9 * half, middle + 0.9 * half), 1),
             deck_half=(board.deck_length / 2, board.deck_width / 2),
             deck_height=board.deck_height,
+            wheels_half=(board.wheelbase / 2, board.track / 2),
             foot_radius=robot.kinematics.foot_radius,
             stance_height=float(robot.kinematics.foot_radius - feet[:, 2].mean()),
             episode_steps=max(1, round(episode_length / step)),
         )
+
+    def deck_half_of(self, sim: SimState) -> tuple[float, float] | tuple[Tensor, Tensor]:
+        """Return half length and half width of the deck, m: two numbers, or two ``[N, 1]`` if boards vary."""
+        if (sizes := sim.board_sizes) is None:
+            return cast(tuple[float, float], vars(self)["deck_half"])
+        return sizes[:, 0:1], sizes[:, 1:2]
+
+    def deck_height_of(self, sim: SimState) -> float | Tensor:
+        """Return the height of the deck's top above the floor at rest, m: a number, or ``[N, 1]`` if boards vary."""
+        return cast(float, vars(self)["deck_height"]) if sim.board_sizes is None else sim.board_sizes[:, 2:3]
+
+    def wheels_scale_of(self, sim: SimState) -> tuple[float, float] | tuple[Tensor, Tensor]:
+        """Return wheelbase and track as shares of those of the settings' board: 1, or ``[N, 1]`` if boards vary."""
+        if (sizes := sim.board_sizes) is None:
+            return 1.0, 1.0
+        return sizes[:, 3:4] / self.wheels_half[0], sizes[:, 4:5] / self.wheels_half[1]
+
+
+class ContextOfBoards(TaskContext):
+    """Constants of a task in which boards vary from world to world: it refuses to give a size that all boards have."""
+
+    def __getattribute__(self, name: str) -> Any:
+        """Return an attribute.
+
+        Raises:
+            ConfigError: It is a size of the board.
+        """
+        if name in ("deck_half", "deck_height"):
+            raise ConfigError(
+                f"context.{name} is of one board, but boards=varied gives every world its own; a term must use "
+                f"context.{name}_of(sim)"
+            )
+        return super().__getattribute__(name)
 
 
 Columns = Callable[[Any, JointLayout, dict[str, Any]], int]

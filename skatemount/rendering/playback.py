@@ -137,7 +137,7 @@ def _play(trial: EvaluationTask, variant: str, turn: int) -> Episode:
         tape = _Tape(evaluator, slice(world, world + 1))
         records = evaluator.round(trial.agent.policy, rounds, tape.note)
         record = trial.numbered(variant, records[world : world + 1])
-        return _episode(evaluator, record, tape.frames(0, float(record.duration)))
+        return _episode(evaluator, world, record, tape.frames(0, float(record.duration)))
     finally:
         evaluator.close()
 
@@ -162,9 +162,11 @@ def _first_success(trial: EvaluationTask) -> Episode:
             rows = records.success.nonzero().flatten().tolist()
             for row in rows[:1]:
                 if found is None or int(records.number[row]) < found.number:
-                    found = _episode(evaluator, records[row : row + 1], tape.frames(row, float(records.duration[row])))
+                    found = _episode(
+                        evaluator, row, records[row : row + 1], tape.frames(row, float(records.duration[row]))
+                    )
             if i == 0 and found is None:
-                first = _episode(evaluator, records[:1], tape.frames(0, float(records.duration[0])))
+                first = _episode(evaluator, 0, records[:1], tape.frames(0, float(records.duration[0])))
         finally:
             evaluator.close()
     records = EpisodeRecords.cat(played)
@@ -190,10 +192,10 @@ def _failures_before(records: EpisodeRecords, number: int, ends: Sequence[str]) 
     return f"; {which} failed: {said}"
 
 
-def _episode(evaluator: Evaluator, record: EpisodeRecords, frames: list[Frame]) -> Episode:
+def _episode(evaluator: Evaluator, world: int, record: EpisodeRecords, frames: list[Frame]) -> Episode:
     env = evaluator.env
     scene = env.task.scene
-    model, _ = env.physics.render_data(0)
+    model, _ = env.physics.render_data(world)
     robot, board = (
         int(model.body_rootid[model.body(frame.full_identifier).id]) for frame in (scene.robot_frame, scene.board_frame)
     )

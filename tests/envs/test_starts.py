@@ -13,7 +13,8 @@ from skatemount.config import compose, stages
 from skatemount.envs import MountTask
 from skatemount.envs.physics import CpuPhysics
 from skatemount.envs.physics.base import StartState
-from skatemount.envs.starts import StartPoses, StartQueue
+from skatemount.envs.start_queue import StartQueue
+from skatemount.envs.starts import StartPoses
 from skatemount.utils.errors import ConfigError
 
 STARTS = 1500

@@ -58,6 +58,21 @@ class SkateboardConfig:
         return self.deck_height - self.wheel_radius
 
     @property
+    def truck_sine(self) -> float:
+        """Sine of the truck axes' tilt from the vertical."""
+        return math.sin(self._theta)
+
+    @property
+    def truck_cosine(self) -> float:
+        """Cosine of the truck axes' tilt from the vertical."""
+        return math.cos(self._theta)
+
+    @property
+    def truck_tangent(self) -> float:
+        """Tangent of the truck axes' tilt from the vertical."""
+        return math.tan(self._theta)
+
+    @property
     def roll_stiffness(self) -> float:
         """Stiffness of both bushings together about the roll axis near level, N m/rad.
 

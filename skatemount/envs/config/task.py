@@ -10,6 +10,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from skatemount.envs.config.board import SkateboardConfig
+from skatemount.envs.config.boards import BoardsConfig
 from skatemount.envs.config.commands import CommandConfig
 from skatemount.envs.config.physics import PhysicsConfig
 from skatemount.envs.config.randomization import RandomizationConfig
@@ -98,6 +99,7 @@ class TaskConfig:
             sets it together with the start states, commands and terms that belong to it.
         robot: Settings of the robot.
         board: Settings of the skateboard.
+        boards: Ranges of the boards, if every world has a board of its own.
         physics: Settings of time stepping, solver and engine.
         observation: Settings of the observations.
         reward: `RewardTerm` by name.
@@ -113,6 +115,7 @@ class TaskConfig:
     success: str
     robot: RobotConfig
     board: SkateboardConfig
+    boards: BoardsConfig
     physics: PhysicsConfig
     observation: ObservationConfig
     reward: dict[str, Any]
@@ -137,8 +140,9 @@ class TaskConfig:
                     f"observation.privileged.{name}.history_length={term.history_length} must be null; only terms of "
                     "the policy have a history"
                 )
-        for part in ("robot", "board", "physics", "start", "command", "randomization", "sensing"):
+        for part in ("robot", "board", "boards", "physics", "start", "command", "randomization", "sensing"):
             getattr(self, part).validate(part)
+        self.boards.validate_with(self.board)
         if self.episode_length < self.physics.control_step:
             raise ConfigError(
                 f"episode_length={self.episode_length} must be at least a control step, physics.timestep times "

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 
+import mujoco
 import numpy as np
 from dm_control import composer, mjcf
 
 from skatemount.envs.config.board import SkateboardConfig
 from skatemount.envs.entities import board_visuals
 
-__all__ = ["WELD_SOLIMP", "WELD_SOLREF", "Skateboard", "SkateboardConfig"]
+__all__ = ["WELD_SOLIMP", "WELD_SOLREF", "Skateboard", "SkateboardConfig", "resize"]
 
 WELD_SOLREF = (0.02, 1.0)
 """solref of the weld that fixes the deck: the shortest time constant that is stable with steps of 10 ms."""
@@ -26,6 +27,8 @@ _COLLISION_GROUP = 3
 _WHEEL_SOLREF = (0.02, 1.0)
 _WHEEL_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)
 _WHEEL_SOLMIX = 1000.0
+_ENDS = (("front", 1), ("rear", -1))
+_SIDES = (("R", -1), ("L", 1))
 # MuJoCo scales the force of a joint limit by the joint's inertia, which is a few g m2 for a truck, but a robot's weight
 # loads this one. With the default impedance the limit would hardly be stiffer than the bushing.
 _STOP_SOLREF = (0.02, 1.0)
@@ -70,9 +73,9 @@ class Skateboard(composer.Entity):
         self._wheel_joints: list[mjcf.Element] = []
         self._wheel_geoms: list[mjcf.Element] = []
         self._add_deck()
-        for end, forward in (("front", 1), ("rear", -1)):
+        for end, forward in _ENDS:
             truck = self._add_truck(end, forward)
-            for side, left in (("R", -1), ("L", 1)):
+            for side, left in _SIDES:
                 self._add_wheel(truck, f"{end[0].upper()}{side}_wheel", left)
 
     @property
@@ -119,7 +122,7 @@ class Skateboard(composer.Entity):
             name="deck",
             dclass="collision",
             type="box",
-            size=(c.deck_length / 2, c.deck_width / 2, c.deck_thickness / 2),
+            size=_deck_size(c),
             pos=(0, 0, -c.deck_thickness / 2),
             mass=c.deck_mass,
             friction=(c.deck_friction, 0.005, 0.0001),
@@ -140,17 +143,11 @@ class Skateboard(composer.Entity):
             The body of the truck.
         """
         c = self._config
-        theta = math.radians(c.truck_angle)
-        axis = np.array([forward * math.sin(theta), 0, math.cos(theta)])
-        pivot = np.array([forward * c.wheelbase / 2, 0, -c.roll_axis_depth])
+        axis, pivot = _truck_axis(c, forward), _truck_pivot(c, forward)
         board_visuals.add_truck_mount(self._root, c, pivot, axis)
 
         truck = self._root.worldbody.add("body", name=f"{end}_truck", pos=pivot)
-        # The hanger has the inertia of a rod between the wheels.
-        across = c.truck_mass * (c.track - c.wheel_width) ** 2 / 12
-        around = c.truck_mass * (0.36 * c.wheel_radius) ** 2 / 2
-        inertia = (across, around, across)
-        truck.add("inertial", pos=(0, 0, 0), mass=c.truck_mass, diaginertia=inertia)
+        truck.add("inertial", pos=(0, 0, 0), mass=c.truck_mass, diaginertia=_truck_inertia(c))
         limit = math.radians(c.truck_limit)
         self._truck_joints.append(
             truck.add(
@@ -174,7 +171,7 @@ class Skateboard(composer.Entity):
 
     def _add_wheel(self, truck: mjcf.Element, name: str, left: int) -> None:
         c = self._config
-        wheel = truck.add("body", name=name, pos=(0, left * c.track / 2, 0))
+        wheel = truck.add("body", name=name, pos=_wheel_pos(c, left))
         spin = c.wheel_mass * c.wheel_radius**2 / 2
         across = c.wheel_mass * (3 * c.wheel_radius**2 + c.wheel_width**2) / 12
         inertia = (across, spin, across)
@@ -210,3 +207,48 @@ class Skateboard(composer.Entity):
             )
         )
         board_visuals.add_wheel(wheel, c)
+
+
+def resize(spec: mujoco.MjSpec, board: str, config: SkateboardConfig) -> None:
+    """Give the board of a parsed scene the sizes, masses and springs of another board.
+
+    The scene has no geoms that are only drawn. Only settings in `skatemount.envs.config.boards.RANGES` may differ from
+    those of the scene's board. Then the scene compiles to the same model as one that is built with the other board.
+
+    Args:
+        spec: The scene; changed in place.
+        board: Name of the board's model in the scene.
+        config: Settings of the other board.
+    """
+    spec.body(f"{board}/").pos = (0, 0, config.deck_height)
+    deck = spec.geom(f"{board}/deck")
+    deck.size, deck.mass = _deck_size(config), config.deck_mass
+    for end, forward in _ENDS:
+        truck, joint = spec.body(f"{board}/{end}_truck"), spec.joint(f"{board}/{end}_truck")
+        truck.pos, truck.inertia = _truck_pivot(config, forward), _truck_inertia(config)
+        joint.axis, joint.stiffness[0] = _truck_axis(config, forward), config.truck_stiffness
+        for side, left in _SIDES:
+            spec.body(f"{board}/{end[0].upper()}{side}_wheel").pos = _wheel_pos(config, left)
+
+
+def _deck_size(c: SkateboardConfig) -> tuple[float, float, float]:
+    return c.deck_length / 2, c.deck_width / 2, c.deck_thickness / 2
+
+
+def _truck_axis(c: SkateboardConfig, forward: int) -> np.ndarray:
+    return np.array([forward * c.truck_sine, 0, c.truck_cosine])
+
+
+def _truck_pivot(c: SkateboardConfig, forward: int) -> np.ndarray:
+    return np.array([forward * c.wheelbase / 2, 0, -c.roll_axis_depth])
+
+
+def _truck_inertia(c: SkateboardConfig) -> tuple[float, float, float]:
+    # The hanger has the inertia of a rod between the wheels.
+    across = c.truck_mass * (c.track - c.wheel_width) ** 2 / 12
+    around = c.truck_mass * (0.36 * c.wheel_radius) ** 2 / 2
+    return across, around, across
+
+
+def _wheel_pos(c: SkateboardConfig, left: int) -> tuple[float, float, float]:
+    return 0, left * c.track / 2, 0

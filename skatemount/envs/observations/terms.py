@@ -97,7 +97,7 @@ def board_pos(
     """
     if at == "deck":
         return sim.board_pos_base
-    return sim.board_pos_base - context.deck_height * sim.board_rot_base[..., 2]
+    return sim.board_pos_base - context.deck_height_of(sim) * sim.board_rot_base[..., 2]
 
 
 @observation(6, "vector")
@@ -170,6 +170,43 @@ def _points_in_trunk_frame(sim: SimState, axes: Tensor, matrix: Tensor) -> Tenso
     return ((axes.flatten(1) @ matrix).view(len(axes), -1, 3) + sim.board_pos_base.unsqueeze(1)).flatten(1)
 
 
+def outlines(deck_half: Tensor, points: int) -> Tensor:
+    """Place points around decks of different sizes, as `outline_points` does around one.
+
+    The position after an arc s has the coordinates x = clamp(|s - 2 (a + b)| - (a + b), -a, a) and, on the left half,
+    y = min(s, b, 2 (a + b) - s), with a and b the half length and half width.
+
+    Args:
+        deck_half: ``[N, 2]`` half length and half width of each deck, m.
+        points: Number of points, P.
+
+    Returns:
+        ``[N, P, 3]`` in the board frame, m.
+    """
+    a, b = deck_half.split(1, 1)
+    side = a + b
+    arc = torch.arange(points, device=deck_half.device) / points * (4 * side)
+    back = arc > 2 * side
+    x = torch.minimum(torch.maximum((arc - 2 * side).abs() - side, -a), a)
+    left = torch.where(back, arc - 2 * side, arc)
+    y = torch.minimum(torch.minimum(left, b), 2 * side - left) * torch.where(back, -1.0, 1.0)
+    return torch.stack((x, y, torch.zeros_like(x)), -1)
+
+
+def _own_points_in_trunk_frame(sim: SimState, axes: Tensor, points: Tensor) -> Tensor:
+    """Transform points of each world's board to the trunk frame.
+
+    Args:
+        sim: The state.
+        axes: ``[N, 3, 3]`` board axes in the trunk frame (columns).
+        points: ``[N, P, 3]`` in the board frame, m.
+
+    Returns:
+        ``[N, 3 P]`` m.
+    """
+    return (points @ axes.mT + sim.board_pos_base.unsqueeze(1)).flatten(1)
+
+
 @observation(lambda layout, params: 3 * params.get("points", 16), "outline")
 def outline(sim: SimState, episode: EpisodeState, context: TaskContext, points: int = 16) -> Tensor:
     """Return points at equal arc length around the deck's top edge, trunk frame, ``[N, 3 points]`` m.
@@ -177,6 +214,8 @@ def outline(sim: SimState, episode: EpisodeState, context: TaskContext, points: 
     The first point is the middle of the end that the trunk faces.
     """
     axes = sim.board_rot_base * _facing_signs(episode)
+    if sim.board_sizes is not None:
+        return _own_points_in_trunk_frame(sim, axes, outlines(sim.board_sizes[:, :2], points))
     return _points_in_trunk_frame(sim, axes, _outline(context.deck_half, points, sim.base_pos.device))
 
 
@@ -192,6 +231,8 @@ def outline_paper(sim: SimState, episode: EpisodeState, context: TaskContext) ->
     The points go around the deck in steps of 0.083 m, 12 mm above its top. They overshoot the corners as in the paper's
     code: on the short edges they end 82 mm outside.
     """
+    if sim.board_sizes is not None:
+        return _own_points_in_trunk_frame(sim, sim.board_rot_base, _paper_points(sim.board_sizes[:, :2]))
     return _points_in_trunk_frame(sim, sim.board_rot_base, _paper_outline(context.deck_half, sim.base_pos.device))
 
 
@@ -204,6 +245,21 @@ def _paper_outline(deck_half: tuple[float, float], device: torch.device) -> Tens
     points = [(x, -half_y) for x in long_edge] + [(half_x, y) for y in short_edge]
     points += [(-x, half_y) for x in long_edge] + [(-half_x, -y) for y in short_edge]
     return _rotation_to_points(torch.tensor([(x, y, 0.012) for x, y in points]), device)
+
+
+def _paper_points(deck_half: Tensor) -> Tensor:
+    """Return the points of `_paper_outline` for boards of their own, ``[N, 24, 3]`` m.
+
+    Args:
+        deck_half: ``[N, 2]`` half length and half width of each deck, m.
+    """
+    steps = 0.083 * torch.arange(8, device=deck_half.device)
+    half_x, half_y = deck_half.split(1, 1)
+    ones = torch.ones_like(steps)
+    long_edge = torch.stack((steps - half_x, -half_y * ones), -1)
+    short_edge = torch.stack((half_x * ones[:4], steps[1:5] - half_y), -1)
+    half = torch.cat((long_edge, short_edge), 1)
+    return torch.nn.functional.pad(torch.cat((half, -half), 1), (0, 1), value=0.012)
 
 
 @observation(_feet_points, "feet")

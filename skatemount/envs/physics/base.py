@@ -11,7 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from skatemount.envs.scene import SceneIndex
+from skatemount.envs.boards import Boards
+from skatemount.envs.config.board import SkateboardConfig
+from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState
 
 
@@ -82,6 +84,17 @@ class Physics(Protocol):
 
     def field(self, name: str) -> Tensor:
         """Return the ``[N, ...]`` values of a model field, which writes change from the next step or reset on."""
+        ...
+
+    def set_boards(self, boards: Boards, fields: dict[str, np.ndarray]) -> None:
+        """Give every world a board of its own; all that follows, from the next reset on, is of that board.
+
+        Only for a scene whose boards vary.
+
+        Args:
+            boards: The boards of the worlds.
+            fields: ``[N, ...]`` model fields of the boards; see `skatemount.envs.physics.board_models.BOARD_FIELDS`.
+        """
         ...
 
     def refresh_constants(self) -> None:
@@ -174,6 +187,8 @@ class StartState:
         board_lean: ``[N]`` roll of the deck about its long axis, rad; positive to the right.
         truck_angle: ``[N, 2]`` front and rear truck about their axes, rad; `trucks_of_lean` gives those at which all
             wheels stand on the floor.
+        world: ``[N]`` int64, the world whose board the state fits; None if all worlds have the same board. Engines
+            ignore it.
     """
 
     base_pos: Tensor
@@ -194,6 +209,7 @@ class StartState:
     board_yaw_rate: Tensor | None = None
     board_lean: Tensor | None = None
     truck_angle: Tensor | None = None
+    world: Tensor | None = None
 
     @property
     def usual_board(self) -> bool:
@@ -265,6 +281,8 @@ def _merge(parts: list[StartState], name: str, merge: Callable[[list[Tensor]], T
     values = [getattr(part, name) for part in parts]
     if all(value is None for value in values):
         return None
+    if name == "world" and any(value is None for value in values):
+        raise ValueError("start states of worlds with boards of their own cannot be mixed with others")
     filled = [p.board_speed.new_zeros(len(p), *_BOARD[name]) if v is None else v for p, v in zip(parts, values)]
     return merge(filled)
 
@@ -281,6 +299,31 @@ def where_rows(mask: Tensor, first: Tensor, second: Tensor) -> Tensor:
         ``[N, ...]``.
     """
     return torch.where(mask.view(-1, *[1] * (second.dim() - 1)), first, second)
+
+
+class VisualModels:
+    """The models with everything that is only drawn, compiled when they are needed.
+
+    Args:
+        scene: The scene.
+    """
+
+    def __init__(self, scene: Scene):
+        self._scene = scene
+        self._last: tuple[SkateboardConfig, mujoco.MjModel] | None = None
+
+    def model(self, i: int, boards: Boards | None) -> mujoco.MjModel:
+        """Return the model of a world.
+
+        Args:
+            i: Index of the world.
+            boards: The boards of the worlds; None if all have that of the scene.
+        """
+        board = self._scene.board.config if boards is None else boards.of_world[i]
+        if self._last is None or self._last[0] is not board:
+            scene = self._scene if boards is None else self._scene.with_board(board)
+            self._last = board, scene.compile()
+        return self._last[1]
 
 
 def posed_data(

@@ -6,46 +6,44 @@ The board's lean, the angles of its trucks and its curvature belong together: `S
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
-from skatemount.envs.config.board import SkateboardConfig
+from skatemount.envs.boards import AnyBoard
 from skatemount.envs.geometry import quat_multiply, quat_to_matrix, rotate
 from skatemount.envs.physics.base import StartState
 
 
-def trucks_of_lean(lean: Tensor, board: SkateboardConfig) -> Tensor:
+def trucks_of_lean(lean: Tensor, board: AnyBoard) -> Tensor:
     """Compute the angles of the trucks at which all wheels stand on the floor.
 
     tan(phi) = tan(lean) / sin(theta), see `SkateboardConfig.truck_rotation`.
 
     Args:
         lean: ``[N]`` roll of the deck, rad; positive to the right.
-        board: Settings of the board.
+        board: Settings of the board, or sizes of ``[N]`` boards.
 
     Returns:
         ``[N, 2]`` positions of the front and the rear truck's joint, rad.
     """
-    phi = torch.atan(torch.tan(lean) / math.sin(math.radians(board.truck_angle)))
+    phi = torch.atan(torch.tan(lean) / board.truck_sine)
     return torch.stack((-phi, phi), 1)
 
 
-def lean_of_truck(angle: Tensor, board: SkateboardConfig) -> Tensor:
+def lean_of_truck(angle: Tensor, board: AnyBoard) -> Tensor:
     """Compute the lean at which all wheels stand on the floor, the inverse of `trucks_of_lean`.
 
     Args:
         angle: ``[N]`` position of the rear truck's joint, rad.
-        board: Settings of the board.
+        board: Settings of the board, or sizes of ``[N]`` boards.
 
     Returns:
         ``[N]`` rad.
     """
-    return torch.atan(torch.tan(angle) * math.sin(math.radians(board.truck_angle)))
+    return torch.atan(torch.tan(angle) * board.truck_sine)
 
 
-def yaw_rate_of_lean(speed: Tensor, lean: Tensor, board: SkateboardConfig) -> Tensor:
+def yaw_rate_of_lean(speed: Tensor, lean: Tensor, board: AnyBoard) -> Tensor:
     """Compute the turning rate of a leaning board whose wheels do not slip.
 
     The middle of the axles rolls on a circle of curvature k = 2 tan(beta) / wheelbase, with tan(beta) = sin(lean) /
@@ -55,16 +53,16 @@ def yaw_rate_of_lean(speed: Tensor, lean: Tensor, board: SkateboardConfig) -> Te
     Args:
         speed: ``[N]`` speed of the deck's center along the board's heading, m/s.
         lean: ``[N]`` roll of the deck, rad; positive to the right.
-        board: Settings of the board.
+        board: Settings of the board, or sizes of ``[N]`` boards.
 
     Returns:
         ``[N]`` rad/s; positive to the left.
     """
-    curvature = 2 * torch.sin(lean) / (math.tan(math.radians(board.truck_angle)) * board.wheelbase)
+    curvature = 2 * torch.sin(lean) / (board.truck_tangent * board.wheelbase)
     return -curvature * speed / (1 - curvature * board.roll_axis_depth * torch.sin(lean))
 
 
-def deck_drop(lean: Tensor, board: SkateboardConfig) -> Tensor:
+def deck_drop(lean: Tensor, board: AnyBoard) -> Tensor:
     """Compute by how much a lean lowers the deck's center, ``[N]`` m: d (1 - cos(lean)), d the roll axis's depth."""
     return board.roll_axis_depth * (1 - torch.cos(lean))
 
@@ -73,20 +71,21 @@ class BoardStart:
     """The coordinates and velocities of boards in start states, in the order of the scene's index.
 
     Args:
-        board: Settings of the board.
+        board: Settings of the board, or sizes of ``[N]`` boards.
         device: Device of the start states.
     """
 
-    def __init__(self, board: SkateboardConfig, device: torch.device | None = None):
+    def __init__(self, board: AnyBoard, device: torch.device | None = None):
         self._board = board
-        theta, half = math.radians(board.truck_angle), board.wheelbase / 2
+        half = _column(board.wheelbase) / 2
         with device or torch.device("cpu"):
             ends = torch.tensor([1.0, 1.0, -1.0, -1.0], dtype=torch.float64)
             self._left = torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64)
-            down = torch.full_like(ends, -board.roll_axis_depth)
-            self._pivot = torch.stack((ends * half, torch.zeros_like(ends), down), 1)
+            along = ends * half
+            down = torch.zeros_like(along) - _column(board.roll_axis_depth)
+            self._pivot = torch.stack((along, torch.zeros_like(along), down), -1)
             # The y axis turns about the axis (s, 0, c) by phi into (-c sin(phi), cos(phi), s sin(phi)).
-            self._sine, self._cosine = ends * math.sin(theta), math.cos(theta)
+            self._sine, self._cosine = ends * _column(board.truck_sine), _column(board.truck_cosine)
 
     def positions(self, start: StartState) -> Tensor:
         """Return the board's part of ``qpos``, at `SceneIndex.board_qpos`.
@@ -121,14 +120,14 @@ class BoardStart:
         phi = trucks[:, [0, 0, 1, 1]]
         axle = torch.stack((-self._cosine * phi.sin(), phi.cos(), self._sine * phi.sin()), -1)
         # A rear axis leans the other way, which the sign of the sine already says.
-        center = self._pivot + axle * (self._left * self._board.track / 2).unsqueeze(1)
+        center = self._pivot + axle * (self._left * _column(self._board.track) / 2).unsqueeze(-1)
         axle, arm = rotate(rotation, axle), rotate(rotation, center)
         velocity = linear.unsqueeze(1) + torch.linalg.cross(turning.unsqueeze(1).expand_as(arm), arm)
         # The direction in which a wheel rolls is horizontal and perpendicular to its axle.
         x, y = axle[..., 1], -axle[..., 0]
         along = (velocity[..., 0] * x + velocity[..., 1] * y) / torch.hypot(x, y)
         angular = rotate(rotation.mT, turning)
-        return torch.cat((linear, angular, torch.zeros_like(trucks), along / self._board.wheel_radius), 1)
+        return torch.cat((linear, angular, torch.zeros_like(trucks), along / _column(self._board.wheel_radius)), 1)
 
     def _of(self, value: Tensor | None, like: Tensor) -> Tensor:
         return torch.zeros_like(like) if value is None else value.double()
@@ -146,3 +145,8 @@ class BoardStart:
         about_z = torch.stack((torch.cos(yaw / 2), zero, zero, torch.sin(yaw / 2)), 1)
         about_x = torch.stack((torch.cos(lean / 2), torch.sin(lean / 2), zero, zero), 1)
         return quat_multiply(about_z, about_x)
+
+
+def _column(value: float | Tensor) -> float | Tensor:
+    """Return ``[N, 1]`` values of N boards, or the one of all boards."""
+    return value.unsqueeze(-1) if isinstance(value, Tensor) else value

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import functools
-
 import mujoco
 import numpy as np
 import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
+from skatemount.envs.boards import Boards
 from skatemount.envs.physics import target_history
-from skatemount.envs.physics.base import StartState, posed_data
+from skatemount.envs.physics.base import StartState, VisualModels, posed_data
 from skatemount.envs.physics.board_start import BoardStart
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState, StateReader
@@ -48,7 +47,6 @@ class CpuPhysics:
     def __init__(self, scene: Scene, num_worlds: int, threads: int = 0):
         self.num_worlds, self.device = num_worlds, torch.device("cpu")
         self.model = scene.compile(visuals=False)
-        self._scene = scene
         self.index = SceneIndex.of(scene, self.model)
         self.threads = threads or available_cores()
         self.description = f"mujoco.batch, {self.threads} threads"
@@ -70,9 +68,11 @@ class CpuPhysics:
         self._reader = StateReader(self.index)
         self._board_start = BoardStart(scene.board.config)
         self._history = target_history.TargetHistory(self.model, self.index)
+        self._boards: Boards | None = None
         self._lost_contacts = False
         self._fields: dict[str, np.ndarray] = {}
         self._default = self._batch.state[0].copy()
+        self._visuals = VisualModels(scene)
         self._batch.forward()
 
     def step(self, targets: Tensor, substeps: int) -> None:
@@ -97,9 +97,10 @@ class CpuPhysics:
         qvel = start.board_speed.double().unsqueeze(1).numpy() * index.rolling
         qvel[:, index.base_dof] = torch.cat((start.base_lin_vel, start.base_ang_vel), -1).numpy()
         qvel[:, index.joint_dof] = start.joint_vel.numpy()
-        if not start.usual_board:
-            self._qpos[np.ix_(ids, index.board_qpos)] = self._board_start.positions(start).numpy()
-            qvel[:, index.board_dof] = self._board_start.velocities(start).numpy()
+        if self._boards is not None or not start.usual_board:
+            board = self._board_start if self._boards is None else BoardStart(self._boards.sizes[torch.from_numpy(ids)])
+            self._qpos[np.ix_(ids, index.board_qpos)] = board.positions(start).numpy()
+            qvel[:, index.board_dof] = board.velocities(start).numpy()
         self._qvel[ids] = qvel
         self._ctrl[np.ix_(ids, index.actuators)] = start.joint_pos.numpy()
         if self.model.nhistory:
@@ -135,12 +136,19 @@ class CpuPhysics:
             copy(qacc[which][:, self._joint_dof]),
             copy(self._mocap[which, self.index.floor_mocap, 2]),
             torch.from_numpy(self._weld[which, self.index.weld] > 0),
+            None if self._boards is None else self._boards.columns[slice(None) if rows is None else rows],
         )
 
     def field(self, name: str) -> Tensor:
         """Return a live ``[N, ...]`` float64 view of a model field, which then has a value for each world."""
         self._fields[name] = self._batch.expand(name)
         return torch.from_numpy(self._fields[name])
+
+    def set_boards(self, boards: Boards, fields: dict[str, np.ndarray]) -> None:
+        """Give every world a board of its own; see `Physics.set_boards`."""
+        self._boards = boards
+        for name, values in fields.items():
+            self.field(name)[:] = torch.from_numpy(values)
 
     def refresh_constants(self) -> None:
         """Recompute the model constants that depend on masses and inertias."""
@@ -192,13 +200,9 @@ class CpuPhysics:
         self._batch.warning[:] = state["warning"].numpy()
         self._read = (state["sensordata"].numpy().copy(), state["qacc"].numpy().copy())
 
-    @functools.cached_property
-    def _visual_model(self) -> mujoco.MjModel:
-        return self._scene.compile()
-
     def render_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """Return a model with visuals, and data with one world's pose; see `Physics.render_data`."""
-        return posed_data(self._visual_model, self._qpos[i], self._qvel[i], self._mocap[i])
+        return posed_data(self._visuals.model(i, self._boards), self._qpos[i], self._qvel[i], self._mocap[i])
 
     def poses(self, worlds: slice) -> tuple[np.ndarray, np.ndarray]:
         """Return copies of the positions of some worlds; see `Physics.poses`."""

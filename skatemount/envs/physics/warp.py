@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -16,8 +15,10 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from skatemount.envs.boards import Boards
 from skatemount.envs.physics import target_history
-from skatemount.envs.physics.base import StartState, posed_data, where_rows
+from skatemount.envs.physics.base import StartState, VisualModels, posed_data, where_rows
+from skatemount.envs.physics.board_models import BOARD_FIELDS
 from skatemount.envs.physics.board_start import BoardStart
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState, StateReader
@@ -35,6 +36,8 @@ OF_WORLDS = (
 """Model fields that have a value for each world."""
 DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
 """Model fields that are computed from masses and inertias, and so also have a value for each world."""
+OF_BOARDS = tuple(name for name in BOARD_FIELDS if name in mjw.Model.__dataclass_fields__)
+"""Model fields that have a value for each world if boards vary; mujoco_warp lacks some that only the C engine reads."""
 STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl", "xfrc_applied", "eq_active", "mocap_pos")
 """Data fields that the next step depends on."""
 RESULTS = ("sensordata", "qacc")
@@ -71,6 +74,7 @@ class _Worlds:
         contacts: Memory for contacts, per world on average.
         constraints: Memory for constraint rows, per world.
         spare: Number of additional worlds whose contacts there is memory for.
+        boards_vary: True if the worlds' boards differ.
     """
 
     def __init__(
@@ -81,11 +85,12 @@ class _Worlds:
         contacts: int,
         constraints: int,
         spare: int = 0,
+        boards_vary: bool = False,
     ):
         self.num_worlds = num_worlds
         self._device, self._warp_device = device, wp.device_from_torch(device)
         with wp.ScopedDevice(self._warp_device):
-            fields = (*OF_WORLDS, *DERIVED, *target_history.fields(model))
+            fields = (*OF_WORLDS, *DERIVED, *(OF_BOARDS if boards_vary else ()), *target_history.fields(model))
             self.model = mjw.put_model(model, dict.fromkeys(fields, num_worlds))
             # `overflowed` reports an overflow. Warp would print a line per world and step.
             self.model.opt.warn_overflow = 0
@@ -184,13 +189,13 @@ class WarpPhysics:
         self.model = scene.compile(visuals=False)
         self.index = SceneIndex.of(scene, self.model)
         self.max_contacts, self.max_constraints = max_contacts, max_constraints
-        self._scene = scene
+        self._visuals = VisualModels(scene)
         wp.init()
         _announce_compilation()
         self.description = f"mujoco_warp on {wp.device_from_torch(self.device).name}"
-        self._all = _Worlds(self.model, num_worlds, self.device, max_contacts, max_constraints)
-        few = max(1, num_worlds // _FEW)
-        self._few = _Worlds(self.model, few, self.device, max_contacts, max_constraints, _SPARE_WORLDS)
+        vary, few = scene.boards_vary, max(1, num_worlds // _FEW)
+        self._all = _Worlds(self.model, num_worlds, self.device, max_contacts, max_constraints, boards_vary=vary)
+        self._few = _Worlds(self.model, few, self.device, max_contacts, max_constraints, _SPARE_WORLDS, vary)
         self._state = self._all.state
         with self.device:
             self._failed = torch.zeros(num_worlds, dtype=torch.bool)
@@ -203,6 +208,7 @@ class WarpPhysics:
             self._board_qpos, self._board_dof = map(torch.as_tensor, (self.index.board_qpos, self.index.board_dof))
         self._board_start = BoardStart(scene.board.config, self.device)
         self._history = target_history.TargetHistory(self.model, self.index, self.device)
+        self._boards: Boards | None = None
         self._reader = StateReader(self.index)
 
     def step(self, targets: Tensor, substeps: int) -> None:
@@ -226,15 +232,16 @@ class WarpPhysics:
     def reset(self, mask: Tensor, start: StartState) -> None:
         """Put the chosen worlds into start states; see `Physics.reset`."""
         index, rows = self.index, mask.nonzero().squeeze(1)
-        qpos = self._qpos0.repeat(len(rows), 1)
+        qpos = self._qpos0.repeat(len(rows), 1) if self._boards is None else self._qpos0[rows]
         qpos[:, index.base_qpos] = torch.cat((start.base_pos, start.base_quat), -1)
         qpos[:, self._joint_qpos] = start.joint_pos
         qvel = start.board_speed.unsqueeze(1) * self._rolling
         qvel[:, index.base_dof] = torch.cat((start.base_lin_vel, start.base_ang_vel), -1)
         qvel[:, self._joint_dof] = start.joint_vel
-        if not start.usual_board:
-            qpos[:, self._board_qpos] = self._board_start.positions(start).float()
-            qvel[:, self._board_dof] = self._board_start.velocities(start).float()
+        if self._boards is not None or not start.usual_board:
+            own = self._board_start if self._boards is None else BoardStart(self._boards.sizes[rows], self.device)
+            qpos[:, self._board_qpos] = own.positions(start).float()
+            qvel[:, self._board_dof] = own.velocities(start).float()
         fresh = {name: value.new_zeros(len(rows), *value.shape[1:]) for name, value in self._state.items()}
         fresh |= {"qpos": qpos, "qvel": qvel}
         fresh["ctrl"][:, self._actuators] = start.joint_pos
@@ -297,6 +304,7 @@ class WarpPhysics:
             copy(self._all.results["qacc"])[:, self._joint_dof],
             copy(state["mocap_pos"][:, index.floor_mocap, 2]),
             copy(state["eq_active"][:, index.weld]),
+            None if self._boards is None else copy(self._boards.columns),
         )
 
     def field(self, name: str) -> Tensor:
@@ -308,6 +316,16 @@ class WarpPhysics:
         if name not in (known := (*OF_WORLDS, *target_history.fields(self.model))):
             raise KeyError(f"{name} is not among the fields that differ from world to world: {', '.join(known)}")
         return self._all.fields[name]
+
+    def set_boards(self, boards: Boards, fields: dict[str, np.ndarray]) -> None:
+        """Give every world a board of its own; see `Physics.set_boards`."""
+        self._boards = boards
+        for name in OF_BOARDS:
+            own = self._all.fields[name]
+            # A row of Warp's may be longer than one of MuJoCo's.
+            values = torch.from_numpy(fields[name]).to(own).flatten(1)
+            own.flatten(1)[:, : values.shape[1]] = values
+        self._qpos0 = self._all.fields["qpos0"]
 
     def refresh_constants(self) -> None:
         """Recompute the model constants that depend on masses and inertias."""
@@ -369,14 +387,10 @@ class WarpPhysics:
         named = {f"{kind}.{name}": values for kind, tensors in kinds.items() for name, values in tensors.items()}
         return named | {"failed": self._failed}
 
-    @functools.cached_property
-    def _visual_model(self) -> mujoco.MjModel:
-        return self._scene.compile()
-
     def render_data(self, i: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """Return a model with visuals, and data with one world's pose; see `Physics.render_data`."""
         qpos, qvel, mocap = (self._state[name][i].cpu().numpy() for name in ("qpos", "qvel", "mocap_pos"))
-        return posed_data(self._visual_model, qpos, qvel, mocap)
+        return posed_data(self._visuals.model(i, self._boards), qpos, qvel, mocap)
 
     def poses(self, worlds: slice) -> tuple[np.ndarray, np.ndarray]:
         """Return copies of the positions of some worlds; see `Physics.poses`."""

@@ -80,7 +80,7 @@ def feet_proximity(
         scale: Distance at which the value falls to 1/e, m.
         margin: Distance from the edge that a foot should keep, m.
     """
-    position, (half_x, half_y) = sim.foot_pos_board, context.deck_half
+    position, (half_x, half_y) = sim.foot_pos_board, context.deck_half_of(sim)
     beyond_x, beyond_y = beyond_rectangle(position, (half_x - margin, half_y - margin))
     outside = torch.hypot(beyond_x.clamp(min=0), beyond_y.clamp(min=0))
     height = position[..., 2] - context.foot_radius
@@ -159,7 +159,7 @@ def orientation_paper(
     """
     rotation = sim.board_rot_base
     cosine = ((rotation.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2).clamp(-1, 1)
-    origin = sim.board_pos_base - context.deck_height * rotation[..., 2]
+    origin = sim.board_pos_base - context.deck_height_of(sim) * rotation[..., 2]
     near = torch.linalg.vector_norm(origin, dim=-1) < gate
     return torch.exp(-(torch.acos(cosine) / math.pi) / scale) * near
 
@@ -196,7 +196,8 @@ def feet_near_edge(
 ) -> Tensor:
     """Penalize feet near the deck's edge: the sum over feet on the deck of |x| and |y| beyond a rectangle, m (ours).
 
-    A foot outside the wheels' track tips a free board.
+    A foot outside the wheels' track tips a free board. If boards vary, the rectangle grows with each one's wheelbase
+    and track.
 
     Args:
         sim: The state.
@@ -205,7 +206,8 @@ def feet_near_edge(
         half_width: Half width of the rectangle, m.
         half_length: Half length of the rectangle, m.
     """
-    beyond_x, beyond_y = beyond_rectangle(sim.foot_pos_board, (half_length, half_width))
+    along, across = context.wheels_scale_of(sim)
+    beyond_x, beyond_y = beyond_rectangle(sim.foot_pos_board, (half_length * along, half_width * across))
     return ((beyond_x.clamp(min=0) + beyond_y.clamp(min=0)) * episode.on_deck).sum(-1)
 
 
