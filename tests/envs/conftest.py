@@ -112,6 +112,7 @@ def context() -> TaskContext:
         soft_limits=limits,
         deck_half=(0.2875, 0.125),
         deck_height=0.088,
+        wheels_half=(0.2485, 0.079),
         foot_radius=0.02,
         stance_height=0.3,
         episode_steps=125,
