@@ -16,28 +16,13 @@ import warp as wp
 from torch import Tensor
 
 from skatemount.envs.boards import Boards
-from skatemount.envs.physics import target_history
+from skatemount.envs.physics import target_history, warp_fields
 from skatemount.envs.physics.base import StartState, VisualModels, posed_data, where_rows
-from skatemount.envs.physics.board_models import BOARD_FIELDS
 from skatemount.envs.physics.board_start import BoardStart
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState, StateReader
 from skatemount.utils.devices import choose_device
 
-OF_WORLDS = (
-    "geom_friction",
-    "jnt_stiffness",
-    "dof_frictionloss",
-    "body_mass",
-    "body_inertia",
-    "body_ipos",
-    "actuator_gainprm",
-)
-"""Model fields that have a value for each world."""
-DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
-"""Model fields that are computed from masses and inertias, and so also have a value for each world."""
-OF_BOARDS = tuple(name for name in BOARD_FIELDS if name in mjw.Model.__dataclass_fields__)
-"""Model fields that have a value for each world if boards vary; mujoco_warp lacks some that only the C engine reads."""
 STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl", "xfrc_applied", "eq_active", "mocap_pos")
 """Data fields that the next step depends on."""
 RESULTS = ("sensordata", "qacc")
@@ -90,7 +75,7 @@ class _Worlds:
         self.num_worlds = num_worlds
         self._device, self._warp_device = device, wp.device_from_torch(device)
         with wp.ScopedDevice(self._warp_device):
-            fields = (*OF_WORLDS, *DERIVED, *(OF_BOARDS if boards_vary else ()), *target_history.fields(model))
+            fields = warp_fields.of_each_world(model, boards_vary)
             self.model = mjw.put_model(model, dict.fromkeys(fields, num_worlds))
             # `overflowed` reports an overflow. Warp would print a line per world and step.
             self.model.opt.warn_overflow = 0
@@ -313,18 +298,15 @@ class WarpPhysics:
         Raises:
             KeyError: The field is the same in every world.
         """
-        if name not in (known := (*OF_WORLDS, *target_history.fields(self.model))):
+        if name not in (known := warp_fields.settable(self.model)):
             raise KeyError(f"{name} is not among the fields that differ from world to world: {', '.join(known)}")
         return self._all.fields[name]
 
     def set_boards(self, boards: Boards, fields: dict[str, np.ndarray]) -> None:
         """Give every world a board of its own; see `Physics.set_boards`."""
         self._boards = boards
-        for name in OF_BOARDS:
-            own = self._all.fields[name]
-            # A row of Warp's may be longer than one of MuJoCo's.
-            values = torch.from_numpy(fields[name]).to(own).flatten(1)
-            own.flatten(1)[:, : values.shape[1]] = values
+        for name in warp_fields.OF_BOARDS:
+            warp_fields.write(self._all.fields[name], fields[name])
         self._qpos0 = self._all.fields["qpos0"]
 
     def refresh_constants(self) -> None:
@@ -368,7 +350,7 @@ class WarpPhysics:
         for name, values in self._all.fields.items():
             own = getattr(model, name)
             # Single precision would make every field differ.
-            row = values[i % len(values)].cpu().numpy().reshape(own.shape)
+            row = warp_fields.read(values, i, own)
             own[...] = np.where(row == own.astype(row.dtype), own, row)
         return model, {name: np.array(values[i].cpu()) for name, values in state.items()}
 
