@@ -110,6 +110,24 @@ class BoardOutline:
         """Return the height of the deck or of the ground under points ``[n, F, 2]``, ``[n, F]`` m."""
         return torch.where((xy.abs() < self.half).all(-1), self._height, ground.unsqueeze(1))
 
+    def room_for(self, xy: Tensor, radius: float, margin: float) -> Tensor:
+        """Move feet that are too near to the deck's edge to the nearest place on the deck or beside the board.
+
+        Args:
+            xy: ``[n, F, 2]`` m.
+            radius: Radius of a foot, m.
+            margin: Distance from the edge that a foot must keep, m.
+
+        Returns:
+            ``[n, F, 2]`` m.
+        """
+        inner, outer = (self.half - margin).clamp(min=0.0), self._outer + radius + margin
+        onto = torch.minimum(torch.maximum(xy, -inner), inner)
+        gap, axis = (outer - xy.abs()).min(-1, keepdim=True)
+        off = xy + torch.zeros_like(xy).scatter(-1, axis, torch.where(xy.gather(-1, axis) < 0, -gap, gap))
+        shorter = torch.linalg.vector_norm(onto - xy, dim=-1, keepdim=True) < gap
+        return torch.where(self.near_edge(xy, radius, margin).unsqueeze(-1), torch.where(shorter, onto, off), xy)
+
     def near_edge(self, xy: Tensor, radius: float, margin: float) -> Tensor:
         """Find feet ``[n, F, 2]`` that are too near to the deck's edge, ``[n, F]`` bool."""
         outer = (xy.abs() < self._outer + radius + margin).all(-1)

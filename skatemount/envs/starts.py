@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from skatemount.envs.boards import AnyBoard, BoardOutline, BoardSizes
 from skatemount.envs.config.board import SkateboardConfig
@@ -31,6 +32,8 @@ from skatemount.utils.errors import ConfigError
 _LEVEL = [0.0, 0.0]
 _ROUNDS = 40
 """Number of batches of candidates to draw before giving up."""
+_SLACK = 0.02
+"""How much farther from the deck's edge feet are put than they must be, because random joint angles move them, m."""
 _LEAST = 256
 """Number of candidates below which a batch costs as much as one of this size."""
 
@@ -67,7 +70,8 @@ class StartSampler:
     """A source of start states without unwanted contacts.
 
     Each foot stands on the deck or on the ground, whichever is under it: inverse kinematics puts the foot at the height
-    of its support, within the joint's soft limits. Then the trunk is raised until the lowest foot touches. Candidates
+    of its support, within the joint's soft limits. If boards vary, a foot near a deck's edge is first put on the deck or
+    beside the board, so that a robot fits on any deck. Then the trunk is raised until the lowest foot touches. Candidates
     with a foot near the deck's edge, or with a thigh or calf inside board or ground, are rejected.
 
     Args:
@@ -229,9 +233,13 @@ class StartSampler:
         level = torch.zeros_like(yaw)
         heading = quat_to_matrix(quat_from_euler(level, level, yaw))
         nominal = self._nominal_feet.expand(n, -1, -1)
-        support = deck.support(rotate(heading, nominal)[..., :2] + xy.unsqueeze(1), ground)
+        places, feet = rotate(heading, nominal)[..., :2] + xy.unsqueeze(1), nominal.clone()
+        if worlds is not None:
+            # The stance of most robots is wider than a narrow deck.
+            places = deck.room_for(places, context.foot_radius, c.edge_margin + _SLACK)
+            feet[..., :2] = (pad(places - xy.unsqueeze(1), (0, 1)) @ heading)[..., :2]
+        support = deck.support(places, ground)
         trunk = support.mean(1) + context.stance_height
-        feet = nominal.clone()
         feet[..., 2] = support + context.foot_radius - trunk.unsqueeze(1)
         joints = self._legs.joints(feet) + draw(c.joint_pos, context.layout.num_joints)
         joints = joints.clamp(context.soft_limits[:, 0], context.soft_limits[:, 1])
