@@ -138,12 +138,14 @@ def _collecting(errors: list[OSError]) -> Iterator[None]:
 
 def _write_outputs(task: EvaluationTask, result: Evaluation, folder: Path, drawing: Decoration) -> list[Path]:
     """Write the results and the success map of one task into a folder, and return the files."""
+    from skatemount.envs.boards import boards_of
     from skatemount.evaluation.success_map import plot_success_map
 
+    boards = [board for config in task.configs.values() for board in boards_of(config.boards, config.board)]
     picture = folder / f"{task.file_stem}.png"
     written = [_write(result.to_dict(), folder / f"{task.file_stem}.json")]
     with drawing:
-        plot_success_map(result, [each.board for each in task.configs.values()], picture)
+        plot_success_map(result, boards, picture)
         written.append(picture)
     return written
 

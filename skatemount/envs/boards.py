@@ -175,8 +175,11 @@ class Boards:
         num_worlds: int,
         seed: int,
         device: torch.device | None = None,
+        first: int = 0,
     ) -> Boards:
         """Draw a board for every world.
+
+        World i has board ``first + i``, modulo the number of boards if there is one.
 
         Args:
             config: Ranges, or fixed boards.
@@ -184,6 +187,7 @@ class Boards:
             num_worlds: Number of worlds.
             seed: Seed of the worlds, which counts if the settings have none.
             device: Device of the worlds.
+            first: Number of the first world's board.
 
         Returns:
             The boards; the same ones for the same seed.
@@ -196,13 +200,23 @@ class Boards:
         else:
             # NumPy's generator, because the boards of a suite are the same on every device.
             random = np.random.default_rng(seed if config.seed is None else config.seed)
-            different = [_draw(config, board, random) for _ in range(min(config.count or num_worlds, num_worlds))]
-        return cls([different[i % len(different)] for i in range(num_worlds)], device)
+            different = [_draw(config, board, random) for _ in range(config.count or num_worlds)]
+        return cls([different[(first + i) % len(different)] for i in range(num_worlds)], device)
 
     @property
     def different(self) -> list[SkateboardConfig]:
         """The boards without repetitions, in the order of the worlds."""
         return list({id(board): board for board in self.of_world}.values())
+
+
+def boards_of(config: BoardsConfig, board: SkateboardConfig) -> list[SkateboardConfig]:
+    """Return the boards of a task that has one or a number of them; the settings' board if every world has its own.
+
+    Args:
+        config: Ranges, or fixed boards.
+        board: Settings of the board, for all that is not drawn.
+    """
+    return Boards.draw(config, board, config.number, 0).different if config.number else [board]
 
 
 def _draw(config: BoardsConfig, board: SkateboardConfig, random: np.random.Generator) -> SkateboardConfig:

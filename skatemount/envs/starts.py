@@ -70,9 +70,9 @@ class StartSampler:
     """A source of start states without unwanted contacts.
 
     Each foot stands on the deck or on the ground, whichever is under it: inverse kinematics puts the foot at the height
-    of its support, within the joint's soft limits. If boards vary, a foot near a deck's edge is first put on the deck or
-    beside the board, so that a robot fits on any deck. Then the trunk is raised until the lowest foot touches. Candidates
-    with a foot near the deck's edge, or with a thigh or calf inside board or ground, are rejected.
+    of its support, within the joint's soft limits. If boards vary, a foot near a deck's edge is first put on the deck
+    or beside the board, so that a robot fits on any deck. Then the trunk is raised until the lowest foot touches.
+    Candidates with a foot near the deck's edge, or with a thigh or calf inside board or ground, are rejected.
 
     Args:
         config: Ranges of the start states.

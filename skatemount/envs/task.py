@@ -47,6 +47,9 @@ class MountTask(composer.Task):
         overrides: Further settings in Hydra's syntax, such as ``["board=longboard", "reward.mounted.weight=5"]``.
         config: A complete configuration, in place of stage and overrides.
 
+    Attributes:
+        first_board: Number of the board of world 0, where worlds take a limited number of boards in turn.
+
     Raises:
         ConfigError: The stage or a setting is unknown, or a setting has a value that cannot be used.
     """
@@ -64,6 +67,7 @@ class MountTask(composer.Task):
         _, delay_steps = config.sensing.delay_steps(config.physics.timestep)
         self.scene = Scene(config.robot, config.board, config.physics, delay_steps, config.boards.vary)
         self._boards: Boards | None = None
+        self.first_board = 0
         self._generator = torch.Generator().manual_seed(0)
         self._mdp = self.make_mdp(self._generator)
         if not config.boards.vary:
@@ -159,7 +163,8 @@ class MountTask(composer.Task):
         config = self.config
         if not config.boards.vary:
             return None, None
-        boards = Boards.draw(config.boards, config.board, physics.num_worlds, seed, physics.device)
+        first = self.first_board
+        boards = Boards.draw(config.boards, config.board, physics.num_worlds, seed, physics.device, first)
         return boards, self.board_models.give(physics, boards)
 
     @plain_defaults
@@ -167,7 +172,8 @@ class MountTask(composer.Task):
         """Draw a board and build the scene with it, if boards vary."""
         config = self.config
         if config.boards.vary:
-            self._boards = Boards.draw(config.boards, config.board, 1, int(random_state.randint(2**31)))
+            seed, first = (int(random_state.randint(bound)) for bound in (2**31, config.boards.number or 1))
+            self._boards = Boards.draw(config.boards, config.board, 1, seed, first=first)
             self.scene = self.scene.with_board(self._boards.of_world[0])
             self._sampler = self.make_sampler(boards=self._boards)
 

@@ -109,7 +109,8 @@ class Evaluator:
             report(number + 1, 0)
         records = EpisodeRecords.cat(parts)[:episodes]
         task, layout = self.env.mdp.definition, self.env.mdp.context.layout
-        return Evaluation(records, self.end_names, task, task.most(layout), evaluated=self.describe())
+        most, boards = task.most(layout), self.config.boards.number
+        return Evaluation(records, self.end_names, task, most, evaluated=self.describe(), boards=boards)
 
     def round(self, policy: Policy, number: int, watch: Callable[[int], None] | None = None) -> EpisodeRecords:
         """Run one episode in every world; the same round always gives the same episodes.
@@ -128,6 +129,8 @@ class Evaluator:
         env, tracker = self.env, self._tracker
         watch = watch or (lambda step: None)
         with deterministic(self._torch_threads):
+            # An episode's board does not depend on the number of worlds.
+            env.task.first_board = number * env.num_worlds
             env.set_seed(mix_seeds(self.seed, number))
             state = env.reset()
             actor = policy.actor_in(env)

@@ -16,6 +16,11 @@ def table(result: Evaluation) -> str:
     made = new_table(result.title, "")
     made.add_row("episodes", str(result.episodes))
     made.add_row("success", f"{result.success_rate:.1%} (95 % interval {low:.1%} to {high:.1%})")
+    if (worst := result.worst_board()) is not None:
+        number, part = worst
+        made.add_row(
+            f"worst of {result.boards} boards", f"board {number}, {part.successes} of {part.episodes} episodes"
+        )
     for metric in result.task.metrics:
         made.add_row(metric.label, result.text(metric.name))
     made.add_row("failures", failures(result))

@@ -34,6 +34,7 @@ class Evaluation:
         most: Largest possible value by name of those metrics that have one.
         variants: Names of the suite's variants, indexed by `EpisodeRecords.variant`; empty if it has none.
         evaluated: Policy, suite and settings of the evaluation: all that is needed to repeat it.
+        boards: Number of boards that the episodes take in turn; 0 if they do not, or differ in other settings, too.
     """
 
     records: EpisodeRecords
@@ -42,6 +43,7 @@ class Evaluation:
     most: dict[str, float] = field(default_factory=dict)
     variants: list[str] = field(default_factory=list)
     evaluated: dict[str, Any] = field(default_factory=dict)
+    boards: int = 0
 
     @property
     def title(self) -> str:
@@ -116,6 +118,17 @@ class Evaluation:
             if len(records)
         }
 
+    def worst_board(self) -> tuple[int, Evaluation] | None:
+        """Return the number of the board with the lowest success rate and its results; None if boards do not vary."""
+        if not self.boards:
+            return None
+        number = self.records.number % self.boards
+        episodes = torch.bincount(number, minlength=self.boards)
+        successes = torch.bincount(number[self.records.success], minlength=self.boards)
+        # A board without episodes is not the worst.
+        worst = int(torch.where(episodes > 0, successes / episodes, 2.0).argmin())
+        return worst, Evaluation(self.records[number == worst], self.end_names, self.task, self.most)
+
     def first_success(self) -> int | None:
         """Return the number of the first episode that succeeded, or None if none did."""
         numbers = self.records.number[self.records.success]
@@ -146,6 +159,8 @@ class Evaluation:
         result = self._summary()
         if self.variants:
             result["variants"] = {name: part._summary() for name, part in self.by_variant().items()}
+        if (worst := self.worst_board()) is not None:
+            result["boards"] = {"number": self.boards, "worst": {"board": worst[0]} | worst[1]._summary()}
         if failed_episodes:
             result["failed_episodes"] = self.failed_episodes()
         return result | {"evaluated": dict(self.evaluated)}

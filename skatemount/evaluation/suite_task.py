@@ -200,6 +200,7 @@ class EvaluationTask:
             most=parts[0].most,
             variants=variants if len(variants) > 1 else [],
             evaluated=self.describe() | parts[0].evaluated,
+            boards=parts[0].boards if len(variants) == 1 else 0,
         )
 
     def record_command(self, episode: int) -> str:

@@ -30,10 +30,11 @@ class BoardsConfig:
         truck_angle: Tilt of the trucks' axes from the vertical, degrees.
         truck_stiffness: Stiffness of a truck's bushing, N m/rad.
         mass: Mass of the whole board, kg.
-        count: Number of different boards; world i has board i modulo this number. 0 draws one for each world.
+        count: Number of different boards; world i has board i modulo this number, and in an evaluation episode i has.
+            0 draws one for each world.
         seed: Seed of the boards; null takes the one of the worlds.
-        fixed: Boards in place of drawn ones, each as changes of ``board``, such as ``{mass: 3.0, track: 0.18}``; world
-            i has board i modulo their number.
+        fixed: Boards in place of drawn ones, each as changes of ``board``, such as ``{mass: 3.0, track: 0.18}``. They
+            are used in turn, as with ``count``.
     """
 
     deck_length: list[float] | None = field(metadata=interval(0.1, 3, "m"))
@@ -52,6 +53,11 @@ class BoardsConfig:
     def ranges(self) -> dict[str, list[float]]:
         """The ranges that are not null."""
         return {name: bounds for name in RANGES if (bounds := getattr(self, name)) is not None}
+
+    @property
+    def number(self) -> int:
+        """Number of different boards; 0 if each world has its own, or all have that of the settings."""
+        return len(self.fixed) or self.count
 
     @property
     def vary(self) -> bool:

@@ -43,8 +43,8 @@ def of_each_world(model: mujoco.MjModel, boards_vary: bool) -> tuple[str, ...]:
 
 def write(own: Tensor, values: np.ndarray) -> None:
     """Write the values of a field of MuJoCo, ``[N, ...]``, to mujoco_warp's, which may have more columns."""
-    values = own.new_tensor(values)
-    own[..., : values.shape[-1]] = values.view(*values.shape[:1], *own.shape[1:-1], -1)
+    given = own.new_tensor(values)
+    own[..., : given.shape[-1]] = given.view(len(given), *own.shape[1:-1], -1)
 
 
 def read(own: Tensor, i: int, like: np.ndarray) -> np.ndarray:
@@ -58,4 +58,4 @@ def read(own: Tensor, i: int, like: np.ndarray) -> np.ndarray:
     row = own[i % len(own)].cpu().numpy()
     if row.size != like.size:
         row = row[..., : like.shape[-1]]
-    return row.reshape(like.shape)
+    return np.asarray(row.reshape(like.shape))
