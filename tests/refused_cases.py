@@ -136,6 +136,7 @@ RANGES: dict[str, tuple[list[float], list[float]]] = {
     "randomization.truck_stiffness": ([-1, 1], [1, 1e6]),
     "randomization.kp": ([0, 1], [1, 1e6]),
     "randomization.kd": ([0, 1], [1, 1e6]),
+    "randomization.torque_limit": ([0, 1], [1, 1e6]),
     "randomization.push_interval": ([0, 1], [1, 1e6]),
     "randomization.push_velocity": ([-1e3, 0], [0, 1e3]),
     "sensing.target_delay": ([-0.01, 0], [0, 1]),

@@ -72,6 +72,7 @@ ADDED_LATER: dict[str, Any] = {
     "network.kind": "mlp",
     "network.params": {},
     "plugins": [],
+    "randomization.torque_limit": [1.0, 1.0],
     "sensing": {
         "target_delay": [0.0, 0.0],
         "latency": [0, 0],

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs.config.randomization import RandomizationConfig
-from skatemount.envs.entities.quadruped import scale_gains
+from skatemount.envs.entities.quadruped import scale_gains, scale_torque_limit
 from skatemount.envs.sampling import uniform
 from skatemount.envs.scene import SceneIndex
 
@@ -62,6 +62,10 @@ class Randomizer:
         """Draw ``[N, *shape]`` uniform random numbers, one set for each row of a field."""
         return uniform((len(of), *shape), self._generator, bounds, torch.float64).to(of.dtype)
 
+    def _log_uniform(self, bounds: list[float], of: Tensor) -> Tensor:
+        """Draw ``[N, 1]`` log-uniform random numbers, one for each row of a field."""
+        return torch.exp(self._uniform([math.log(b) for b in bounds], of, 1))
+
     def _field(self, physics: ModelFields, name: str) -> tuple[Tensor, Tensor]:
         """Return a field of every world, ``[N, ...]``, and its nominal value, ``[1, ...]`` or ``[N, ...]``."""
         values = physics.field(name)
@@ -109,19 +113,26 @@ class Randomizer:
             physics.refresh_constants()
 
     def new_episodes(self, physics: ModelFields, rows: Tensor) -> None:
-        """Draw the values that change with each episode: the gains of the motors.
+        """Draw the values that change with each episode: the gains of the motors and their torque limit.
 
         Args:
             physics: The worlds.
             rows: ``[K]`` int64, the worlds that are reset.
         """
         c = self.config
-        if c.kp == _FACTOR_1 and c.kd == _FACTOR_1:
+        gains_vary = c.kp != _FACTOR_1 or c.kd != _FACTOR_1
+        if not gains_vary and c.torque_limit == _FACTOR_1:
             return
-        gain, nominal = self._field(physics, "actuator_gainprm")
-        nominal = nominal.expand(len(rows), -1, -1)
-        kp, kd = (torch.exp(self._uniform([math.log(b) for b in bounds], nominal, 1)) for bounds in (c.kp, c.kd))
-        gain[rows] = scale_gains(nominal, kp, kd)
+        field, nominal = self._field(physics, "actuator_gainprm")
+        motors = nominal.expand(len(rows), -1, -1)
+        if gains_vary:
+            kp, kd = self._log_uniform(c.kp, motors), self._log_uniform(c.kd, motors)
+            motors = scale_gains(motors, kp, kd)
+        if c.torque_limit != _FACTOR_1:
+            limits, nominal = self._field(physics, "actuator_forcerange")
+            factor = self._log_uniform(c.torque_limit, motors)
+            motors, limits[rows] = scale_torque_limit(motors, nominal.expand(len(rows), -1, -1), factor)
+        field[rows] = motors
 
 
 class Pushes:

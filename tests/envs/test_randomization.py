@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from skatemount.envs.entities.quadruped import KD_INDEX, KP_INDEX
+from skatemount.envs.entities.quadruped import KD_INDEX, KP_INDEX, RESISTANCE_INDEX
 from skatemount.envs.randomization import Pushes, Randomizer
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.utils.errors import ConfigError
@@ -173,6 +173,34 @@ def test_gains_are_drawn_log_uniformly_for_the_whole_robot() -> None:
     assert (added == 0).all()
 
 
+def test_the_torque_limit_is_drawn_log_uniformly_for_the_whole_robot_after_the_gains() -> None:
+    fields, randomizer = build(kp=[0.5, 2.0], torque_limit=[0.5, 2.0])
+    randomizer.new_episodes(fields, everywhere())
+    limits = fields.ratio("actuator_forcerange")
+    assert_fills(limits, 0.5, 2.0)
+    torch.testing.assert_close(limits, limits[:, :1, :1].expand_as(limits))
+    assert float((limits[:, 0, 0] < 1).float().mean()) == pytest.approx(0.5, abs=0.1)
+    motors = fields.field("actuator_gainprm")
+    nominal = torch.from_numpy(fields.model.actuator_gainprm)
+    torch.testing.assert_close(motors[..., RESISTANCE_INDEX] * limits[..., 0], nominal[:, 0].expand(WORLDS, -1))
+    gains, other = build(kp=[0.5, 2.0])
+    other.new_episodes(gains, everywhere())
+    assert torch.equal(motors[..., 1:], gains.field("actuator_gainprm")[..., 1:])
+    before = limits.clone()
+    randomizer.new_episodes(fields, torch.tensor([3]))
+    changed = (fields.ratio("actuator_forcerange") != before).all(-1).all(-1)
+    assert changed.nonzero().squeeze(1).tolist() == [3]
+    assert_fills(fields.ratio("actuator_forcerange"), 0.5, 2.0)
+
+
+def test_the_torque_limit_can_be_drawn_alone() -> None:
+    fields, randomizer = build(torque_limit=[0.5, 0.5])
+    randomizer.new_episodes(fields, everywhere())
+    ratio = fields.ratio("actuator_gainprm")
+    assert (ratio[..., RESISTANCE_INDEX] == 2).all() and (ratio[..., [KP_INDEX, KD_INDEX]] == 1).all()
+    assert (fields.ratio("actuator_forcerange") == 0.5).all()
+
+
 def test_gains_are_redrawn_only_where_an_episode_starts_and_do_not_accumulate() -> None:
     fields, randomizer = build(kp=[0.8, 1.25], kd=[0.8, 1.2])
     randomizer.new_episodes(fields, everywhere())
@@ -215,6 +243,7 @@ def test_drawing_again_starts_from_the_nominal_values() -> None:
         ("friction", [0.0, 1.0]),
         ("kp", [-1.0, 1.0]),
         ("kd", [1.0]),
+        ("torque_limit", [0.0, 1.0]),
         ("inertia", [math.nan, 1.0]),
         ("trunk_mass", [1.0, -1.0]),
         ("trunk_com", [0.0, math.inf]),

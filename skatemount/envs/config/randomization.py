@@ -11,7 +11,7 @@ from skatemount.utils.bounds import check_bounds, interval
 class RandomizationConfig:
     """Ranges ``[low, high]`` from which the physics of each world is drawn, uniformly unless stated otherwise.
 
-    Gains are drawn at each reset of a world, the other values once for each world.
+    Gains and torque limit are drawn at each reset of a world, the other values once for each world.
 
     Attributes:
         friction: Factor on the sliding friction of the robot, the deck and the robot's floor together, because MuJoCo
@@ -23,6 +23,7 @@ class RandomizationConfig:
         truck_stiffness: Factor on the stiffness of the trucks' bushings.
         kp: Factor on the position gain of all joints, log-uniform.
         kd: Factor on the velocity gain of all joints, log-uniform.
+        torque_limit: Factor on the torque limit of all motors, and so on their whole torque-speed line, log-uniform.
         push_interval: Time between two pushes, s; no pushes if null.
         push_velocity: Velocity that a push adds to each horizontal axis of the trunk, m/s.
     """
@@ -35,6 +36,7 @@ class RandomizationConfig:
     truck_stiffness: list[float] = field(metadata=interval(0, 100, above=True))
     kp: list[float] = field(metadata=interval(0, 100, above=True))
     kd: list[float] = field(metadata=interval(0, 100, above=True))
+    torque_limit: list[float] = field(metadata=interval(0, 100, above=True))
     push_interval: list[float] | None = field(metadata=interval(0, 3600, "s", above=True))
     push_velocity: list[float] = field(metadata=interval(-20, 20, "m/s"))
 

@@ -14,9 +14,19 @@ from skatemount.envs.robots.layout import JointLayout
 from skatemount.envs.robots.spec import Leg, LegKinematics, Link, RobotSpec
 from skatemount.utils.errors import ConfigError
 
-__all__ = ["KD_INDEX", "KP_INDEX", "LOOKS", "LegKinematics", "Quadruped", "RobotConfig", "scale_gains"]
+__all__ = [
+    "KD_INDEX",
+    "KP_INDEX",
+    "LOOKS",
+    "LegKinematics",
+    "Quadruped",
+    "RobotConfig",
+    "scale_gains",
+    "scale_torque_limit",
+]
 
-# Where `actuator_gainprm` of a DC-motor actuator holds the controller's gains.
+# Where `actuator_gainprm` of a DC-motor actuator holds the winding's resistance and the controller's gains.
+RESISTANCE_INDEX = 0
 KP_INDEX = 4
 KD_INDEX = 6
 
@@ -42,7 +52,8 @@ class Quadruped(composer.Entity):
     supply voltage is below the voltage that it generates. There is no actuator state.
 
     The compiled model keeps the gains of actuator i in `actuator_gainprm[i, KP_INDEX]` and `actuator_gainprm[i,
-    KD_INDEX]`, in the units of `RobotConfig`; `scale_gains` changes them.
+    KD_INDEX]`, in the units of `RobotConfig`; `scale_gains` changes them. The torque limit is in the resistance
+    `actuator_gainprm[i, RESISTANCE_INDEX]` and in `actuator_forcerange[i]`; `scale_torque_limit` changes it.
     """
 
     def _build(self, config: RobotConfig, name: str | None = None) -> None:
@@ -243,7 +254,30 @@ def scale_gains(gainprm: Any, kp_scale: Any, kd_scale: Any) -> Any:
     Returns:
         A new array of the shape of `gainprm`. Torque limit and torque-speed line are unchanged.
     """
-    scaled = gainprm.clone() if hasattr(gainprm, "clone") else np.array(gainprm)
+    scaled = _copy(gainprm)
     scaled[..., KP_INDEX] *= kp_scale
     scaled[..., KD_INDEX] *= kd_scale
     return scaled
+
+
+def scale_torque_limit(gainprm: Any, forcerange: Any, scale: Any) -> tuple[Any, Any]:
+    """Scale the torque limit T of the robot's actuators, in NumPy arrays or torch tensors.
+
+    The whole torque-speed line is scaled: the torque on the line by the resistance, the bound T by the force range.
+
+    Args:
+        gainprm: `actuator_gainprm` of the robot's actuators, shape (..., J, 10).
+        forcerange: `actuator_forcerange` of the robot's actuators, shape (..., J, 2).
+        scale: Factor, broadcastable to (..., J).
+
+    Returns:
+        New arrays of the shapes of `gainprm` and `forcerange`. The gains and the speed limit are unchanged.
+    """
+    weaker, narrower = _copy(gainprm), _copy(forcerange)
+    weaker[..., RESISTANCE_INDEX] /= scale
+    narrower *= scale[..., None]
+    return weaker, narrower
+
+
+def _copy(values: Any) -> Any:
+    return values.clone() if hasattr(values, "clone") else np.array(values)

@@ -361,7 +361,8 @@ class WarpPhysics:
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Restore what `state_dict` returned; see `Physics.load_state_dict`."""
         for name, values in self._saved_tensors().items():
-            values.copy_(state[name])
+            # A run of an older version had fewer fields for each world. The others keep the model's values.
+            values.copy_(state.get(name, values) if name.startswith("field.") else state[name])
 
     def _saved_tensors(self) -> dict[str, Tensor]:
         every = self._all
@@ -389,8 +390,5 @@ class WarpPhysics:
 def _announce_compilation() -> None:
     cache = wp.config.kernel_cache_dir
     if cache is not None and not any(Path(cache).glob("*mujoco_warp*")):
-        print(
-            "mujoco_warp compiles its kernels; this takes a minute or two, once per machine",
-            file=sys.stderr,
-            flush=True,
-        )
+        news = "mujoco_warp compiles its kernels; this takes a minute or two, once per machine"
+        print(news, file=sys.stderr, flush=True)

@@ -17,6 +17,7 @@ _OF_WORLDS = (
     "body_inertia",
     "body_ipos",
     "actuator_gainprm",
+    "actuator_forcerange",
 )
 _DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
 """Fields that are computed from masses and inertias."""

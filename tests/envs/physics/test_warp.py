@@ -226,6 +226,38 @@ def test_a_model_field_changes_only_its_world(task: MountTask, warp: Physics) ->
         warp.field("geom_size")
 
 
+def test_a_weaker_motor_gives_less_torque_on_both_engines() -> None:
+    task = MountTask("balance", ["randomization=none", "randomization.torque_limit=[0.5,0.5]"])
+    limit = task.config.robot.torque_limit
+    start = starts(task, 4)
+    torques = []
+    for name in ("cpu", "warp"):
+        physics = engine(name, task, 4)
+        randomizer = Randomizer(task.config.randomization, physics.index, physics.model, torch.Generator())
+        randomizer.new_episodes(physics, torch.tensor([1, 2]))
+        physics.reset(everywhere(4), start)
+        # Targets far away: every motor gives all that it has.
+        physics.step(start.joint_pos + 3.0, 1)
+        torques.append(physics.state().joint_torque.amax(-1))
+        physics.close()
+    cpu, warp = torques
+    torch.testing.assert_close(cpu, warp, rtol=1e-3, atol=1e-2)
+    assert ((cpu[[0, 3]] > 0.9 * limit) & (cpu[[0, 3]] <= limit + 1e-3)).all()
+    assert ((cpu[[1, 2]] > 0.45 * limit) & (cpu[[1, 2]] <= 0.5 * limit + 1e-3)).all()
+
+
+def test_a_run_of_a_version_with_fewer_fields_for_each_world_goes_on(warp: Physics) -> None:
+    saved = {name: value for name, value in warp.state_dict().items() if name != "field.actuator_forcerange"}
+    nominal = warp.field("actuator_forcerange").clone()
+    saved["field.body_mass"] += 1.0
+    warp.load_state_dict(saved)
+    assert torch.equal(warp.field("actuator_forcerange"), nominal)
+    assert torch.equal(warp.field("body_mass"), saved["field.body_mass"])
+    del saved["state.qpos"]
+    with pytest.raises(KeyError, match=r"state\.qpos"):
+        warp.load_state_dict(saved)
+
+
 def test_a_world_that_fails_is_flagged_until_its_reset(task: MountTask, warp: Physics) -> None:
     start = starts(task, 4)
     warp.reset(everywhere(4), start)
