@@ -27,6 +27,7 @@ TESTED_IN = {
     "envs/config/terms.py": "envs/config/test_task.py",
     "envs/physics/replay.py": "training/test_divergence.py",
     "envs/physics/target_history.py": "envs/test_sensing.py",
+    "envs/physics/warp_fields.py": "envs/physics/test_warp.py",
     "envs/robots/a1.py": "envs/entities/test_quadruped.py",
     "envs/robots/shapes.py": "envs/robots/test_reader.py",
     "envs/robots/writer.py": "test_robot_spec.py",

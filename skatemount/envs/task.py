@@ -30,7 +30,6 @@ from skatemount.envs.starts import StartPoseSampler, StartSampler
 from skatemount.envs.state import EpisodeState, SimState, StateReader
 from skatemount.envs.terms import TaskContext
 from skatemount.utils.devices import plain_defaults
-from skatemount.utils.errors import ConfigError
 
 
 class MountTask(composer.Task):
@@ -169,7 +168,10 @@ class MountTask(composer.Task):
 
     @plain_defaults
     def initialize_episode_mjcf(self, random_state: np.random.RandomState) -> None:
-        """Draw a board and build the scene with it, if boards vary."""
+        """Draw a board and build the scene with it, if boards vary.
+
+        Composer calls this for each episode, or once with ``recompile_mjcf_every_episode=False``.
+        """
         config = self.config
         if config.boards.vary:
             seed, first = (int(random_state.randint(bound)) for bound in (2**31, config.boards.number or 1))
@@ -191,11 +193,6 @@ class MountTask(composer.Task):
     @plain_defaults
     def initialize_episode(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Draw randomized physics and a start state, and begin an episode there."""
-        if self.config.boards.vary and self._boards is None:
-            raise ConfigError(
-                "boards=varied draws a board for each episode: composer.Environment must have "
-                "recompile_mjcf_every_episode=True"
-            )
         self._generator.manual_seed(int(random_state.randint(2**31)))
         world = _SingleWorld(physics)
         randomizer = Randomizer(self.config.randomization, self._index, self._nominal, self._generator)

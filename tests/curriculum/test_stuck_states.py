@@ -124,6 +124,35 @@ def test_old_states_make_room(env: MountEnv) -> None:
     assert len(buffer._kept) == SIZE
 
 
+def test_a_stuck_state_begins_on_the_board_that_it_is_from(make_env: Callable[..., MountEnv]) -> None:
+    boards = "boards.fixed=[{deck_height: 0.076},{deck_height: 0.112, deck_length: 0.8, deck_width: 0.27}]"
+    env = make_env("mount", 64, [*STARTS, boards])
+    buffer = StuckStateBuffer(env, 0.9, after=0.0)
+    fidget(env)
+    before = env.sim.clone()
+    everyone = torch.ones(64, dtype=torch.bool)
+    assert env.boards is not None
+    env.physics.reset(everyone, to_start_states(before, env.boards.sizes.to(torch.float32)))
+    after = env.physics.state()
+    for name in ("foot_pos_board", "board_pos_base", "board_rot_base"):
+        torch.testing.assert_close(getattr(after, name), getattr(before, name), atol=1e-5, rtol=0)
+    torch.testing.assert_close(after.board_pos[:, 2], torch.tensor([0.076, 0.112] * 32), atol=1e-5, rtol=0)
+
+    kept, worlds = buffer._kept, torch.arange(64)
+    assert kept is not None and kept.world is not None
+    sampler = env.task.make_sampler(boards=env.boards)
+    drawn = sampler.draw(64 * 8, torch.Generator().manual_seed(0), worlds.repeat(8))
+    mixed = buffer.replace_fraction(drawn, torch.Generator().manual_seed(0))
+    replaced = (mixed.joint_pos != drawn.joint_pos).any(1)
+    has = torch.bincount(kept.world, minlength=64) > 0
+    assert mixed.world is not None and torch.equal(mixed.world, worlds.repeat(8))
+    assert 0 < int(has.sum()) < 64 and not bool(replaced[~has.repeat(8)].any())
+    assert 0.8 < float(replaced[has.repeat(8)].float().mean()) < 1.0
+    for i in replaced.nonzero().flatten().tolist():
+        same = (kept.joint_pos == mixed.joint_pos[i]).all(1)
+        assert kept.world[same].tolist() == [i % 64]
+
+
 @pytest.mark.parametrize("share", [-0.1, 1.0])
 def test_share_out_of_range(share: float) -> None:
     with pytest.raises(ConfigError, match=r"curriculum\.stuck_start_fraction=.* below 1"):

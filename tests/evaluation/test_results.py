@@ -122,3 +122,18 @@ def test_the_title_says_what_is_unusual(make_records: Make) -> None:
     assert title(checkpoint="best", suite="far", task="mount", robot="a1") == "best on far"
     assert title(checkpoint="best", suite="gait", task="gait", robot="go2") == "best on gait, robot go2"
     assert title(task="hold", robot="a1") == "evaluation, task hold"
+
+
+def test_the_worst_of_several_boards_is_told(make_records: Make) -> None:
+    # Episode i is on board i modulo 5; board 4 has one episode, 3 has none.
+    success = [1, 1, 0, 1, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1]
+    records = make_records(14, success=success)
+    keep = torch.arange(14) % 5 != 3
+    result = Evaluation(records[keep], ENDS, MOUNT, boards=5)
+    # Boards 0, 1, 2 and 4 succeed in 3 of 3, 2 of 3, 1 of 3 and 1 of 2.
+    document = json.loads(json.dumps(result.to_dict(), allow_nan=False))["boards"]
+    assert (document["number"], document["worst"]["board"], document["worst"]["episodes"]) == (5, 2, 3)
+    assert document["worst"]["success"]["rate"] == pytest.approx(1 / 3)
+    assert "worst of 5 boards" in report.table(result) and "board 2, 1 of 3 episodes" in report.table(result)
+    usual = Evaluation(records, ENDS, MOUNT)
+    assert "boards" not in usual.to_dict() and "boards" not in report.table(usual)

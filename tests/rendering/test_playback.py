@@ -137,3 +137,13 @@ def test_no_more_than_the_first_episodes_are_searched(monkeypatch: pytest.Monkey
     monkeypatch.setattr(playback, "SEARCHED", 2)
     episode = replay_episode(failing("termination.tilt.params.degrees=1"))
     assert episode.choice == "none of the first 2 episodes succeeded"
+
+
+def test_an_episode_is_drawn_with_its_own_board() -> None:
+    trial = task("outside-boards", "episode_length=0.4", worlds=5)
+    (config,) = trial.configs.values()
+    for number in (7, 13):
+        changes = config.boards.fixed[number]
+        model = replay_episode(trial, number).model
+        deck = model.geom("board/deck").size
+        assert deck[:2].tolist() == pytest.approx([changes["deck_length"] / 2, changes["deck_width"] / 2])

@@ -32,6 +32,7 @@ CASES = {
     "anywhere": ["stage=anywhere", "init_from=null"],
     "gait": ["stage=gait"],
     "sensing": ["stage=unfixed", "init_from=null", "sensing=hard", "sensing.latency=[0,2]", "observation=onboard"],
+    "boards": ["stage=unfixed", "curriculum=auto", "init_from=null", "boards=varied"],
     "memory": [
         "stage=balance",
         "reward.feet_air_time.weight=1",

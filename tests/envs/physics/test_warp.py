@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import defaults
+import numpy as np
 import pytest
 import torch
 from mujoco_warp import OverflowType
@@ -17,6 +18,7 @@ from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import compose, compose_program
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.physics.base import Physics, StartState
+from skatemount.envs.physics.board_models import BOARD_FIELDS
 from skatemount.envs.physics.factory import make_physics
 from skatemount.envs.randomization import Randomizer
 from skatemount.envs.rolling import RollingResistance
@@ -144,11 +146,18 @@ def test_a_gpu_steps_like_the_cpu_engine(task: MountTask) -> None:
     gpu.close()
 
 
-def test_observations_and_rewards_are_the_cpu_engines() -> None:
+@pytest.mark.parametrize("boards", ["one", "varied"])
+def test_observations_and_rewards_are_the_cpu_engines(boards: str) -> None:
+    overrides = [*VARIED, f"boards={boards}"]
     envs = [
-        MountEnv(MountTask(stage="mount", overrides=[*VARIED, f"physics={name}"]), num_worlds=WORLDS, threads=1, seed=5)
+        MountEnv(MountTask("mount", [*overrides, f"physics={name}"]), num_worlds=WORLDS, threads=1, seed=5)
         for name in ("cpu", "warp")
     ]
+    for world in range(3):
+        cpu, warp = (env.physics.world(world, env.physics.raw_state())[0] for env in envs)
+        for name in BOARD_FIELDS:
+            if name not in ("bvh_aabb", "dof_M0", "dof_length"):
+                np.testing.assert_allclose(getattr(warp, name), getattr(cpu, name), rtol=1e-4, atol=1e-6, err_msg=name)
     data = [env.reset() for env in envs]
     generator = torch.Generator().manual_seed(0)
     for _ in range(12):
