@@ -352,7 +352,7 @@ class WarpPhysics:
             # Single precision would make every field differ.
             row = warp_fields.read(values, i, own)
             own[...] = np.where(row == own.astype(row.dtype), own, row)
-        return model, {name: np.array(values[i].cpu()) for name, values in state.items()}
+        return model, {name: values[i].cpu().numpy().copy() for name, values in state.items()}
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return copies of all that a step or a reset depends on; see `Physics.state_dict`."""

@@ -59,7 +59,8 @@ def test_worlds_of_a_fixed_list_take_its_boards_in_turn(task: MountTask) -> None
 
 
 def test_every_world_steps_as_its_own_model(make_env: Callable[..., MountEnv]) -> None:
-    env = make_env("unfixed", 6, [*VARIED, "start.x=[-0.1,0.1]", "start.y=[-0.05,0.05]", "start.distance=null"])
+    near = ["start.x=[-0.1,0.1]", "start.y=[-0.05,0.05]", "start.distance=null"]
+    env = make_env("unfixed", 6, [*VARIED, *near, "board.rolling_resistance=0"])
     physics, boards = env.physics, env.boards
     assert boards is not None and len({board.mass for board in boards.of_world}) == 6
     env.reset()
@@ -74,7 +75,6 @@ def test_every_world_steps_as_its_own_model(make_env: Callable[..., MountEnv]) -
     assert resting == [board.deck_height for board in boards.of_world]
     for _ in range(25):
         targets = env.mdp.targets(0.3 * torch.randn(6, 12, generator=generator))
-        # Without the resistance, which `MountEnv` writes before each step.
         physics.step(targets, 4)
         for model, data, row in zip(models, worlds, targets, strict=True):
             data.ctrl[physics.index.actuators] = row
