@@ -234,6 +234,9 @@ def pages() -> dict[str, tuple[str, str]]:
         "commands": command_page(),
         "robots": group_page("Robots", "`robot=<name>` chooses the robot.", "robot"),
         "boards": group_page("Boards", "`board=<name>` chooses the skateboard.", "board"),
+        "varied_boards": group_page(
+            "Boards that vary", "`boards=<name>` chooses [the boards of the worlds](../boards.md).", "boards"
+        ),
         "sensing": group_page("Sensing", "`sensing=<name>` chooses the sensors' errors and the delays.", "sensing"),
         "tasks": tasks_page(),
         "stages": stages_page(),

@@ -73,6 +73,7 @@ def test_every_input_of_a_term_has_its_shape_and_every_setting_its_meaning(pages
     [
         ("robots", "robot"),
         ("boards", "board"),
+        ("varied_boards", "boards"),
         ("sensing", "sensing"),
         ("commands", "command"),
         ("tasks", "task"),
