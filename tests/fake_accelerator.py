@@ -194,6 +194,7 @@ def train(root: str) -> None:
         "sensing=hard",
         "sensing.latency=[0,1]",
         "observation=onboard",
+        "boards=varied",
         "physics.num_worlds=8",
         "collector.steps_per_env=20",
         f"logger.root={root}",
@@ -208,6 +209,8 @@ def train(root: str) -> None:
     trainer = Trainer(config)
     trainer.train()
     assert trainer.frames == 480
+    # Worlds that have the same board.
+    config.boards = compose("unfixed").boards
     evaluator = Evaluator(config, 8, seed=0)
     assert evaluator.run(trainer.networks, 8).episodes == 8
     evaluator.close()

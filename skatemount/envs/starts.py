@@ -282,7 +282,7 @@ class StartSampler:
         if self._boards is None:
             return self._board.deck_height - step
         # Exactly 0 for a step of the whole deck's height.
-        share = 1 - step / step.new_tensor(self._board.deck_height)
+        share = 1 - step / torch.full_like(step, self._board.deck_height)
         return share * self._boards.deck_height[worlds]
 
     def _ride(self, start: StartState, riding: Tensor, board: AnyBoard, generator: torch.Generator) -> StartState:

@@ -117,7 +117,7 @@ class BoardStart:
         heading = torch.stack((torch.cos(yaw), torch.sin(yaw), zero), 1)
         linear = start.board_speed.double().unsqueeze(1) * heading
 
-        phi = trucks[:, [0, 0, 1, 1]]
+        phi = trucks.repeat_interleave(2, 1)
         axle = torch.stack((-self._cosine * phi.sin(), phi.cos(), self._sine * phi.sin()), -1)
         # A rear axis leans the other way, which the sign of the sine already says.
         center = self._pivot + axle * (self._left * _column(self._board.track) / 2).unsqueeze(-1)

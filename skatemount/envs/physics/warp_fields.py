@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+import torch
 from torch import Tensor
 
 from skatemount.envs.physics import target_history
@@ -44,7 +45,7 @@ def of_each_world(model: mujoco.MjModel, boards_vary: bool) -> tuple[str, ...]:
 
 def write(own: Tensor, values: np.ndarray) -> None:
     """Write the values of a field of MuJoCo, ``[N, ...]``, to mujoco_warp's, which may have more columns."""
-    given = own.new_tensor(values)
+    given = torch.from_numpy(values).to(own)
     own[..., : given.shape[-1]] = given.view(len(given), *own.shape[1:-1], -1)
 
 
