@@ -13,7 +13,7 @@ from skatemount.envs.config.boards import RANGES
 from skatemount.runs.shipped import ALIASES
 from skatemount.utils.errors import ConfigError
 
-FORMAT = 5
+FORMAT = 6
 
 RENAMED: dict[str, str] = {
     "algorithm.clip": "algorithm.clip_epsilon",
@@ -93,7 +93,7 @@ ADDED_LATER: dict[str, Any] = {
     "start.move_with_board": False,
     "start.truck_angle": None,
 }
-"""The same for files of formats 1 to 4."""
+"""The same for files of formats 1 to 5."""
 
 
 RENAMED_VALUES: dict[str, dict[str, str]] = {"robot.variant": {"unitree": "a1", "isaac": "a1_isaac"}}
@@ -123,7 +123,7 @@ def upgrade(values: dict[str, Any]) -> dict[str, Any]:
         _add(values, ADDED)
     if saved < 4:
         _rename_values(values)
-    if saved < 5:
+    if saved < 6:
         _add(values, ADDED_LATER)
     return values
 

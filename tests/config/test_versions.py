@@ -129,3 +129,12 @@ def test_what_was_saved_before_there_was_sensing_sees_the_truth() -> None:
     del values["sensing"]
     assert from_dict(values) == config and config.sensing.senses_truth
     assert from_dict(to_dict(compose("balance", ["sensing=hard"]))).sensing.board_seen == 0.7
+
+
+@pytest.mark.parametrize("found", range(2, FORMAT))
+def test_what_was_saved_before_boards_varied_has_one_board_and_nominal_motors(found: int) -> None:
+    values = to_dict(compose("unfixed", ["sensing=default"]))
+    del values["boards"], values["randomization"]["torque_limit"]
+    config = from_dict(values | {"format": found})
+    assert not config.boards.vary and config.randomization.torque_limit == [1.0, 1.0]
+    assert config.sensing == compose("unfixed", ["sensing=default"]).sensing
