@@ -24,7 +24,7 @@ def evaluate(config: EvaluateConfig, overrides: list[str]) -> Score:
 
     Settings: ``checkpoint`` (a run, a checkpoint, a file, ``latest``, ``best``, ``pretrained:NAME``), ``suite`` (null
     for the checkpoint's own task), ``episodes``, ``seed``, ``json`` (file for the results), ``output`` (folder for the
-    results and a success map of each suite), and any setting of the task;
+    results and the pictures of each suite), and any setting of the task;
     `skatemount.evaluation.suite_task.evaluation_config` says which of them wins.
 
     Args:
@@ -39,7 +39,7 @@ def evaluate(config: EvaluateConfig, overrides: list[str]) -> Score:
         StorageError: A file of results could not be written; the results are printed first.
     """
     from skatemount.cli import prepare_outputs
-    from skatemount.evaluation import report
+    from skatemount.evaluation import ladder, report
     from skatemount.evaluation.suite_task import EvaluationTask
     from skatemount.runs.provenance import package_versions
     from skatemount.runs.sweep import Score
@@ -47,7 +47,7 @@ def evaluate(config: EvaluateConfig, overrides: list[str]) -> Score:
     from skatemount.utils.errors import StorageError
 
     table, commands = Decoration("the table of the results"), Decoration("the list of the next commands")
-    picture = Decoration("the success map")
+    picture = Decoration("the pictures of the results")
     prepare_outputs(config.json, config.output)
     tasks = EvaluationTask.prepare(config, overrides)
     results: dict[str, Evaluation] = {}
@@ -72,6 +72,8 @@ def evaluate(config: EvaluateConfig, overrides: list[str]) -> Score:
         if len(tasks) > 1:
             print(f"\n{tasks[0].agent.name}, {config.episodes} episodes of each suite\n")
             print(report.overview(results, "suite"))
+            if ladders := {name: found for name, each in results.items() if (found := each.ladder()) is not None}:
+                print(f"\n{ladder.table(ladders)}")
         else:
             print(report.table(result))
             if failed := report.failed_episodes(result):
@@ -137,8 +139,9 @@ def _collecting(errors: list[OSError]) -> Iterator[None]:
 
 
 def _write_outputs(task: EvaluationTask, result: Evaluation, folder: Path, drawing: Decoration) -> list[Path]:
-    """Write the results and the success map of one task into a folder, and return the files."""
+    """Write the results, the success map and the ladder of one task into a folder, and return the files."""
     from skatemount.envs.boards import boards_of
+    from skatemount.evaluation.ladder import plot_ladders
     from skatemount.evaluation.success_map import plot_success_map
 
     boards = [board for config in task.configs.values() for board in boards_of(config.boards, config.board)]
@@ -147,6 +150,10 @@ def _write_outputs(task: EvaluationTask, result: Evaluation, folder: Path, drawi
     with drawing:
         plot_success_map(result, boards, picture)
         written.append(picture)
+        if (ladder := result.ladder()) is not None:
+            steps = folder / f"{task.file_stem}_ladder.png"
+            plot_ladders({task.name: {task.agent.name: ladder}}, steps)
+            written.append(steps)
     return written
 
 

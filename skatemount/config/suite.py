@@ -22,6 +22,9 @@ class SuiteConfig:
         stage: Stage whose task is used.
         overrides: Changes to that task, in Hydra's syntax.
         variants: Further changes by name, for a suite of several tasks; episodes take them in turn.
+        ladder: Quantity of which the variants are steps, from easy to hard; empty if they are not. Its results say
+            at which step the success rate falls below 90 %.
+        unit: Unit of the ladder's steps.
         members: Names of other suites, in place of a stage; each of them is run.
         seed: Seed of worlds and start states, together with the user's seed. Suites with the same seed share both as
             far as their settings allow.
@@ -33,6 +36,8 @@ class SuiteConfig:
     stage: str = ""
     overrides: list[str] = field(default_factory=list)
     variants: dict[str, list[str]] = field(default_factory=dict)
+    ladder: str = ""
+    unit: str = ""
     members: list[str] = field(default_factory=list)
     seed: int = field(default=0, metadata=number(0, 2**62))
 
@@ -48,3 +53,7 @@ class SuiteConfig:
             )
         if self.members and (self.overrides or self.variants):
             raise ConfigError(f"{where}.members={self.members}: such a suite has no overrides or variants of its own")
+        if self.ladder and len(self.variants) < 2:
+            raise ConfigError(f"{where}.ladder={self.ladder!r}: a ladder needs at least two variants, its steps")
+        if self.unit and not self.ladder:
+            raise ConfigError(f"{where}.unit={self.unit!r}: only a suite with a ladder has a unit")

@@ -27,6 +27,8 @@ def table(result: Evaluation) -> str:
     text = rendered(made)
     if result.variants:
         text += "\n\n" + overview(result.by_variant() | {"all of them": result}, "variant")
+    if (ladder := result.ladder()) is not None:
+        text += f"\n\n{ladder.quantity}: success {ladder.verdict}"
     return text
 
 

@@ -10,6 +10,7 @@ import torch
 from skatemount.config import compose
 from skatemount.envs.tasks.definition import TaskDefinition
 from skatemount.evaluation.intervals import wilson_interval
+from skatemount.evaluation.ladder import Ladder
 from skatemount.evaluation.records import EpisodeRecords
 
 END_WORDS = {
@@ -129,6 +130,10 @@ class Evaluation:
         worst = int(torch.where(episodes > 0, successes / episodes, 2.0).argmin())
         return worst, Evaluation(self.records[number == worst], self.end_names, self.task, self.most)
 
+    def ladder(self) -> Ladder | None:
+        """Return the results as a ladder; None if the suite's variants are not the steps of one."""
+        return Ladder.of(self)
+
     def first_success(self) -> int | None:
         """Return the number of the first episode that succeeded, or None if none did."""
         numbers = self.records.number[self.records.success]
@@ -161,6 +166,8 @@ class Evaluation:
             result["variants"] = {name: part._summary() for name, part in self.by_variant().items()}
         if (worst := self.worst_board()) is not None:
             result["boards"] = {"number": self.boards, "worst": {"board": worst[0]} | worst[1]._summary()}
+        if (ladder := self.ladder()) is not None:
+            result["ladder"] = ladder.to_dict()
         if failed_episodes:
             result["failed_episodes"] = self.failed_episodes()
         return result | {"evaluated": dict(self.evaluated)}

@@ -10,6 +10,7 @@ import torch
 
 from skatemount.config import EvaluateConfig, TrainConfig, check_choice, compose, compose_program, suites, to_dict
 from skatemount.config.suite import SuiteConfig
+from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.suite_task import evaluation_config, load_suite, members_of
 from skatemount.utils.errors import ConfigError
@@ -63,9 +64,62 @@ def test_what_sets_the_hard_suites_apart() -> None:
     far = task("far")
     assert far.start.distance == [1.0, 2.0]
     assert far.termination["out_of_reach"].params["metres"] > 2.2
-    assert task("pushed").randomization.push_interval == [1.0, 2.0] and near.randomization.push_interval is None
-    slippery = task("low-friction").randomization.friction
+    assert task("pushed", "0.5").randomization.push_interval == [1.0, 2.0] and near.randomization.push_interval is None
+    slippery = task("low-friction", "scaled").randomization.friction
     assert slippery[1] < near.randomization.friction[0]
+    heavy = task("payload").randomization
+    assert (heavy.trunk_mass, heavy.torque_limit, heavy.kp, heavy.kd) == ([-1, 3], *[[0.8, 1.2]] * 3)
+
+
+def test_the_last_step_of_low_friction_has_one_friction_everywhere() -> None:
+    env = MountEnv(MountTask(config=task("low-friction", "0.3")), num_worlds=2, threads=1)
+    model, friction = env.physics.model, env.physics.field("geom_friction")[..., 0]
+    feet = [f"a1/{leg}_foot" for leg in ("FR", "FL", "RR", "RL")]
+    for name in (*feet, "board/deck", "robot_ground"):
+        assert friction[:, model.geom(name).id].tolist() == pytest.approx([0.3, 0.3], abs=1e-9), name
+    env.close()
+
+
+def test_a_suite_has_the_sensing_and_randomization_that_its_file_names() -> None:
+    """Those of the policy's training stay out, and pushes are off in suites that are not about them."""
+    trained = compose("unfixed", ["sensing=hard", "randomization=robust", "observation=onboard"])
+    usual = to_dict(compose(None))
+    for name in ONES:
+        found = load_suite(name)
+        assert found.overrides[:2] == ["sensing=ideal", "randomization=default"], name
+        for variant, changes in (found.variants or {"": []}).items():
+            config = to_dict(evaluation_config(trained, found, variant=changes))
+            named = {o.split("=")[0] for o in (*found.overrides, *changes)}
+            for group in ("sensing", "randomization"):
+                differing = {f"{group}.{k}" for k, v in config[group].items() if v != usual[group][k]}
+                assert differing <= named, (name, variant)
+            assert (config["randomization"]["push_interval"] is None) == (name != "pushed")
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "values"),
+    [
+        ("delay", "target_delay", [[0, 0], [0.02, 0.02], [0.04, 0.04], [0.06, 0.06]]),
+        ("board-bias", "board_pos_bias", [0.02, 0.04, 0.06]),
+        ("board-bias", "board_rot_bias", [2, 4, 6]),
+        ("late-observation", "latency", [[1, 1]]),
+        ("board-dropout", "board_seen", [0.7]),
+        ("board-dropout", "board_age", [[2, 2]]),
+    ],
+)
+def test_suites_about_sensing_are_the_ideal_with_one_thing_changed(name: str, key: str, values: list) -> None:
+    variants = load_suite(name).variants or {"": []}
+    assert [getattr(task(name, variant).sensing, key) for variant in variants] == values
+    # A policy keeps the noise of its own observation, as in every suite.
+    assert all(task(name, variant).sensing.term_noise for variant in variants)
+
+
+def test_the_users_sensing_wins_over_a_suites() -> None:
+    late = ["sensing.target_delay=[0.04,0.04]"]
+    config = evaluation_config(compose("balance"), load_suite("approach-unfixed"), ["sensing=default", *late])
+    assert config.sensing == compose(None, ["sensing=default", *late]).sensing
+    config = evaluation_config(compose("balance"), load_suite("rolling"), late)
+    assert (config.sensing.target_delay, config.sensing.term_noise) == ([0.04, 0.04], True)
 
 
 @pytest.mark.parametrize("variant", load_suite("other-boards").variants)
@@ -107,6 +161,11 @@ def test_an_unknown_suite_is_answered_with_those_there_are() -> None:
         ({"name": "a", "members": ["far"], "overrides": ["seed=1"]}, "suite.members="),
         ({"name": "a", "stage": "mount", "version": 0}, "suite.version=0"),
         ({"name": "a", "stage": "mount", "seed": -1}, "suite.seed=-1"),
+        (
+            {"name": "a", "stage": "mount", "ladder": "push"},
+            "suite.ladder='push': a ladder needs at least two variants",
+        ),
+        ({"name": "a", "stage": "mount", "unit": "ms"}, "suite.unit='ms': only a suite with a ladder has a unit"),
     ],
 )
 def test_a_suite_that_cannot_be_is_one_line(settings: dict, said: str) -> None:

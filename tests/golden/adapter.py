@@ -14,6 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from skatemount import config as configuration
 from skatemount.agents.trained_policy import TrainedPolicy
+from skatemount.config.suite import SuiteConfig
 from skatemount.config.versions import FORMAT, upgrade
 from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.physics.base import StartState
@@ -51,9 +52,22 @@ def settings(line: str) -> dict[str, Any]:
     return configuration.to_dict(_compose(line))
 
 
+def _suite(name: str) -> SuiteConfig:
+    """Return a suite of that time, which had no variants where it is one of several steps today."""
+    found = load_suite(name)
+    if step := {"pushed": "0.5", "low-friction": "scaled"}.get(name):
+        found.overrides, found.variants, found.ladder, found.unit = (
+            [*found.overrides, *found.variants[step]],
+            {},
+            "",
+            "",
+        )
+    return found
+
+
 def suite_settings(suite: str, policy: str) -> dict[str, dict[str, Any]]:
     """Return the settings by variant in which a suite evaluates a shipped policy."""
-    agent, found = TrainedPolicy.load(f"pretrained:{policy}"), load_suite(suite)
+    agent, found = TrainedPolicy.load(f"pretrained:{policy}"), _suite(suite)
     variants = found.variants or {"": []}
     return {
         name: configuration.to_dict(_as_then(evaluation_config(agent.config, found, [], variant=each)))
@@ -76,7 +90,7 @@ def episodes(suite: str, count: int) -> tuple[dict[str, np.ndarray], list[str]]:
     tasks = [replace(TASKS.get(n), metrics=metrics, score={}, overview=(), progress=()) for n in TASKS.names()]
     TASKS.restore(({task.name: task for task in tasks}, saved[1]))
     try:
-        task = EvaluationTask.of(TrainedPolicy.load("pretrained:best"), load_suite(suite))
+        task = EvaluationTask.of(TrainedPolicy.load("pretrained:best"), _suite(suite))
         task.configs = {name: _as_then(config) for name, config in task.configs.items()}
         result = task.evaluate(count)
     finally:
