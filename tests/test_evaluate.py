@@ -72,6 +72,36 @@ def test_prints_a_table_and_writes_the_same(policy: Path, tmp_path: Path, capsys
     assert str(out) in printed
 
 
+def test_late_targets_and_noisy_sensors_change_the_results_and_are_told(policy: Path, tmp_path: Path) -> None:
+    late = ["sensing=default", "sensing.target_delay=[0.04,0.04]"]
+    for name, given in (("a", []), ("b", late)):
+        run(policy, f"json={tmp_path / name}.json", "suite=mount-fixed", *given)
+    a, b = (json.loads((tmp_path / f"{name}.json").read_text()) for name in "ab")
+    assert b["evaluated"]["overrides"] == [*late, *SHORT]
+    assert "sensing=default 'sensing.target_delay=[0.04,0.04]'" in b["evaluated"]["record"]
+    # The same starts, other motions.
+    assert [each["start"] for each in a["failed_episodes"]][0] == [each["start"] for each in b["failed_episodes"]][0]
+    assert a["energy"] != b["energy"]
+
+
+def test_a_ladder_is_told_in_the_table_the_document_and_a_picture(
+    policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    members = ["suite=all", "suite.members=[pushed,far]"]
+    run(policy, *members, "episodes=3", f"json={tmp_path / 'a.json'}", f"output={tmp_path}")
+    printed = capsys.readouterr().out
+    suites = json.loads((tmp_path / "a.json").read_text())["suites"]
+    document = suites["pushed"]["ladder"]
+    assert (document["quantity"], document["unit"], document["falls_at"]) == ("largest push", "m/s", "0.25")
+    assert [step["name"] for step in document["steps"]] == ["0.25", "0.5", "0.75"]
+    assert "ladder" not in suites["far"]
+    (row,) = (line.split() for line in printed.splitlines() if line.split()[:3] == ["pushed", "0.25", "m/s"])
+    assert row[-6:] == ["falls", "below", "0.90", "at", "0.25", "m/s"]
+    with Image.open(tmp_path / "tiny_pushed_seed0_ladder.png") as picture:
+        assert picture.width > 300
+    assert not (tmp_path / "tiny_far_seed0_ladder.png").exists()
+
+
 def test_the_seed_decides_and_is_not_a_trainings(policy: Path, tmp_path: Path) -> None:
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
         run(policy, f"json={tmp_path / name}.json", f"seed={seed}")

@@ -50,6 +50,9 @@ def checkpoint(runs_root: Path) -> Path:
 SHORT = ["episode_length=0.12", "physics.threads=1", "physics.num_worlds=4"]
 
 
+LATE = ["sensing=default", "sensing.target_delay=[0.04,0.04]"]
+
+
 def film(checkpoint: Path, *overrides: str) -> list[Path]:
     record(compose_program("record", [*SHORT, *overrides]), [*SHORT, *overrides])
     return sorted((checkpoint.parent.parent / "videos").iterdir())
@@ -106,6 +109,15 @@ def test_size_speed_and_gif_are_settings(checkpoint: Path) -> None:
 
 
 @needs_opengl
+def test_films_with_late_targets_and_noisy_sensors(checkpoint: Path) -> None:
+    usual, _ = film(checkpoint, "episode=1")
+    _, still = read(usual)
+    late, _ = film(checkpoint, "episode=1", *LATE)
+    _, pictures = read(late)
+    assert len(pictures) == len(still) and any((a != b).any() for a, b in zip(pictures, still, strict=True))
+
+
+@needs_opengl
 def test_a_fast_film_skips_steps(checkpoint: Path) -> None:
     small = ["episode=1", "film.width=160", "film.height=120"]
     mp4, _ = film(checkpoint, *small, "film.speed=5")
@@ -131,17 +143,22 @@ def test_films_go_to_their_run(checkpoint: Path, tmp_path: Path) -> None:
 
 
 def test_a_film_is_the_evaluated_episode_exactly(checkpoint: Path) -> None:
-    # Some of these stand to the end, some are thrown over; two boards, several rounds of three worlds.
+    # Some of these stand to the end, some are thrown over; a fixed and a free board, late targets and noisy sensors,
+    # several rounds of three worlds.
     changes = ["start.x=[-0.1,0.1]", "start.ang_vel=[-1.2,1.2]", "episode_length=1.2"]
     suite = SuiteConfig(
-        name="test", stage="balance", overrides=changes, variants={"usual": [], "free": ["start.board_fixed=0"]}
+        name="test",
+        stage="balance",
+        overrides=changes,
+        variants={"usual": [], "free": ["start.board_fixed=0"], "late": LATE},
     )
     trial = EvaluationTask.of(TrainedPolicy.load(str(checkpoint)), suite, ["physics.num_worlds=3", "physics.threads=1"])
-    evaluated, final = trial.evaluate(14), final_positions(trial, rounds=3)
+    evaluated, final = trial.evaluate(21), final_positions(trial, rounds=3)
     ends = evaluated.records.end
     assert (ends == 0).any() and (ends > 0).any()
     early, late = (int(mask.nonzero()[-1]) for mask in (ends > 0, ends == 0))
-    for number in (early, late, 1):
+    for number in (early, late, 1, 5):
+        assert (number == 5) == (trial.variant_of(number)[0] == "late") or number in (early, late)
         episode = replay_episode(trial, number)
         columns, played_columns = (
             {**vars(record), **record.metrics} for record in (evaluated.records[number : number + 1], episode.record)

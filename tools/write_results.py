@@ -3,16 +3,18 @@
     python tools/write_results.py anywhere checkpoint=pretrained:anywhere suite=all episodes=2000
     python tools/write_results.py anywhere --evaluated result.json --commit 8399278
     python tools/write_results.py --fill
+    python tools/write_results.py --ladders docs/_static/ladders.png robust anywhere
 
 The first form runs `python -m skatemount.evaluate` with the given settings and writes `docs/results/anywhere.json`. The
 second form takes the file of an evaluation that has already run. Both then fill the pages; the third form only fills
-them.
+them. The fourth form draws the ladders of several results files: a panel for each suite, a line for each file.
 
 A page names a number where it stands, in comments that Markdown does not show:
 
     The robot mounts in <!-- result anywhere/approach-unfixed/success -->98.7 %<!-- end --> of the episodes.
 
-Everything between the two comments is replaced. `VALUES` and `BLOCKS` list what can be named.
+Everything between the two comments is replaced. `VALUES` and `BLOCKS` list what can be named;
+`robust+anywhere/compared` names a table of two files side by side.
 """
 
 from __future__ import annotations
@@ -171,6 +173,43 @@ def growth(results: dict[str, Any]) -> str:
     return f"{1024 * more / (last['environments'] - first['environments']):.0f} KiB"
 
 
+def compared(*files: dict[str, Any]) -> str:
+    """Return the success rates of several files side by side, with a row for each suite and each step of a ladder.
+
+    A suite of other variants has a row for all of them and one for the worst of each file.
+
+    Raises:
+        ValueError: The files have results of different versions of a suite.
+    """
+    names = [results["checkpoint"].removeprefix("pretrained:") for results in files]
+    rows = [f"| suite | variant | {' | '.join(names)} |", "|---|---" + "|---" * len(files) + "|"]
+    for suite in dict.fromkeys(suite for results in files for suite in results["suites"]):
+        found = [results["suites"].get(suite) for results in files]
+        known = [each for each in found if each is not None]
+        if len(versions := sorted({each["version"] for each in known})) > 1:
+            raise ValueError(f"{suite}: {' and '.join(names)} have results of its versions {versions}, which differ")
+        first = known[0]
+        if "ladder" in first:
+            steps = first["variants"]
+            cells = {step: [each and rate(each["variants"][step]) for each in found] for step in steps}
+        else:
+            cells = {"": [each and rate(each) for each in found]}
+            if "variants" in first:
+                cells["the worst one"] = [each and _worst(each["variants"]) for each in found]
+        rows += [f"| `{suite}` | {step} | {' | '.join(c or '–' for c in row)} |" for step, row in cells.items()]
+    return "\n".join(["", *rows, ""])
+
+
+def rate(suite: dict[str, Any]) -> str:
+    """Return a success rate with its interval."""
+    return f"{percent(suite['success']['rate'])} ({interval(suite)})"
+
+
+def _worst(variants: dict[str, Any]) -> str:
+    name = min(variants, key=lambda each: variants[each]["success"]["rate"])
+    return f"{rate(variants[name])}, {name}"
+
+
 BLOCKS: dict[str, Callable[[dict[str, Any]], str]] = {
     "provenance": provenance,
     "command": command,
@@ -181,7 +220,7 @@ BLOCKS: dict[str, Callable[[dict[str, Any]], str]] = {
     "memory": memory,
     "growth": growth,
 }
-"""Parts of one file: ``<file>/<part>``."""
+"""Parts of one file: ``<file>/<part>``. A table of several files is ``<file>+<file>/compared``."""
 
 
 def condensed(evaluation: dict[str, Any], commit: str) -> dict[str, Any]:
@@ -225,6 +264,30 @@ def _suite(document: dict[str, Any]) -> dict[str, Any]:
     return about | {key: value for key, value in document.items() if key not in drop}
 
 
+def read(name: str) -> dict[str, Any]:
+    """Return a results file's content."""
+    results: dict[str, Any] = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
+    return results
+
+
+def draw_ladders(names: list[str], png_path: Path) -> None:
+    """Draw the ladders of results files, with a panel for each suite and a line for each file.
+
+    Raises:
+        ValueError: A file has no ladder.
+    """
+    from skatemount.evaluation.ladder import Ladder, plot_ladders
+
+    found: dict[str, dict[str, Ladder]] = {}
+    for name in names:
+        ladders = {suite: each["ladder"] for suite, each in read(name)["suites"].items() if "ladder" in each}
+        if not ladders:
+            raise ValueError(f"{name}.json has no ladder; evaluate suite=delay, board-bias, pushed or low-friction")
+        for suite, values in ladders.items():
+            found.setdefault(suite, {})[name] = Ladder.from_dict(values)
+    plot_ladders(found, png_path)
+
+
 def look_up(key: str) -> str:
     """Return what a page's comment names.
 
@@ -232,7 +295,9 @@ def look_up(key: str) -> str:
         KeyError: No results file, suite or value has that name.
     """
     name, *path = key.split("/")
-    results = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
+    if path == ["compared"]:
+        return compared(*map(read, name.split("+")))
+    results = read(name)
     if len(path) == 1:
         return BLOCKS[path[0]](results)
     suite, *variant, value = path
@@ -288,9 +353,13 @@ def main() -> None:
     parser.add_argument("--evaluated", type=Path, help="JSON of an evaluation that has already run")
     parser.add_argument("--commit", help="git commit that evaluated; the working tree's if not given")
     parser.add_argument("--fill", action="store_true", help="only put the numbers into the pages")
+    parser.add_argument("--ladders", type=Path, metavar="PNG", help="draw the ladders of the results files named")
     options = parser.parse_args()
+    if options.ladders is not None and options.name is not None:
+        draw_ladders([options.name, *options.settings], options.ladders)
+        return
     if options.fill == (options.name is not None):
-        parser.error("give the name of a results file, or --fill alone")
+        parser.error("give the name of a results file, or --fill alone; --ladders needs names, too")
     if options.name is not None:
         commit = options.commit or _commit()
         if options.evaluated is None:

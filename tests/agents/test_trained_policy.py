@@ -11,6 +11,7 @@ from skatemount.agents.interface import check_interface
 from skatemount.agents.trained_policy import MODULE, TrainedPolicy, load_weights, make_policy_card
 from skatemount.config import TrainConfig, compose
 from skatemount.envs.task import MountTask
+from skatemount.evaluation.suite_task import evaluation_config, load_suite
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.runs.checkpoint import save_policy
 from skatemount.utils.errors import ConfigError
@@ -50,6 +51,19 @@ def test_loads_what_was_saved(config: TrainConfig, task: MountTask, tmp_path: Pa
     # The actor and the list of normalizers share theirs, after loading as before.
     assert (agent.networks.normalizers[0].count == 50).all()
     check_interface(agent.card, task)
+
+
+def test_a_card_has_the_sensing_of_the_training(tmp_path: Path) -> None:
+    late = ["sensing=hard", "sensing.target_delay=[0.02,0.05]", "observation=onboard", "randomization=robust"]
+    config = compose("mount", [*TINY, *late])
+    path = tmp_path / "p.safetensors"
+    save_policy(path, {MODULE: make_networks(config)}, make_policy_card(config, MountTask(config=config), 0))
+    agent = TrainedPolicy.load(str(path))
+    assert (agent.config.sensing, agent.config.randomization) == (config.sensing, config.randomization)
+    assert agent.config.sensing.target_delay == [0.02, 0.05] and agent.config.sensing.board_seen == 0.7
+    # Its own task has them, a suite does not.
+    assert evaluation_config(agent.config, None).sensing == config.sensing
+    assert evaluation_config(agent.config, load_suite("rolling")).sensing == compose(None).sensing
 
 
 def test_a_card_without_joints_is_named(config: TrainConfig, task: MountTask, tmp_path: Path) -> None:

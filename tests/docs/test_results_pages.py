@@ -118,6 +118,42 @@ def test_what_is_kept_of_an_evaluation(write_results: ModuleType) -> None:
     assert "failed_episodes" not in kept["suites"]["mount-fixed"]
 
 
+def ladder(rates: dict[str, float]) -> dict[str, Any]:
+    """An evaluation whose variants are steps, in the form of a results file."""
+    parts = {name: {"success": {"rate": rate, "low": rate - 0.05, "high": rate}} for name, rate in rates.items()}
+    steps = [{"name": name, "episodes": 40, **each["success"]} for name, each in parts.items()]
+    both = {"success": {"rate": 0.5, "low": 0.4, "high": 0.6}, "variants": parts, "version": 1}
+    return both | {"ladder": {"quantity": "delay", "unit": "ms", "steps": steps}}
+
+
+def test_two_files_side_by_side(write_results: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(write_results, "RESULTS", tmp_path)
+    far = {"success": {"rate": 0.75, "low": 0.7, "high": 0.8}, "version": 2}
+    boards = {"variants": ladder({"penny": 0.2, "long": 0.9})["variants"], **far}
+    old = {"checkpoint": "pretrained:old", "suites": {"far": far, "delay": ladder({"0ms": 0.9, "20ms": 0.1})}}
+    new = {"checkpoint": "new", "suites": {"delay": ladder({"0ms": 1.0, "20ms": 0.8}), "boards": boards, "far": far}}
+    for name, results in (("old", old), ("new", new)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(results), encoding="utf-8")
+    assert write_results.look_up("new+old/compared").strip().splitlines() == [
+        "| suite | variant | new | old |",
+        "|---|---|---|---|",
+        "| `delay` | 0ms | 100.0 % (95.0 to 100.0 %) | 90.0 % (85.0 to 90.0 %) |",
+        "| `delay` | 20ms | 80.0 % (75.0 to 80.0 %) | 10.0 % (5.0 to 10.0 %) |",
+        "| `boards` |  | 75.0 % (70.0 to 80.0 %) | – |",
+        "| `boards` | the worst one | 20.0 % (15.0 to 20.0 %), penny | – |",
+        "| `far` |  | 75.0 % (70.0 to 80.0 %) | 75.0 % (70.0 to 80.0 %) |",
+    ]
+    write_results.draw_ladders(["new", "old"], tmp_path / "a.png")
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    old["suites"]["far"] = far | {"version": 1}
+    with pytest.raises(ValueError, match=r"far: new and old have results of its versions \[1, 2\]"):
+        write_results.compared(new, old)
+    del old["suites"]["delay"]
+    (tmp_path / "old.json").write_text(json.dumps(old), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"old\.json has no ladder"):
+        write_results.draw_ladders(["new", "old"], tmp_path / "a.png")
+
+
 def test_a_command_names_a_shipped_policy_by_its_name_of_today(write_results: ModuleType) -> None:
     old = {"command": "python -m skatemount.evaluate checkpoint=pretrained:best suite=all init=pretrained:bestest"}
     assert "checkpoint=pretrained:anywhere suite=all init=pretrained:bestest" in write_results.command(old)

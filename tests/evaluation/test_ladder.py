@@ -39,7 +39,7 @@ def evaluation(
         ([50, 48, 44, 46], "ms", "falls below 0.90 at 40ms", "40ms"),
         # Exactly 90 % is not below.
         ([50, 45, 45, 45], "ms", "stays above 0.90", None),
-        ([44, 50, 50, 50], "s", "falls below 0.90 at 0ms s", "0ms"),
+        ([44, 50, 50, 50], "rad", "falls below 0.90 at 0ms rad", "0ms"),
         ([50, 50, 50, 0], "", "falls below 0.90 at 60ms", "60ms"),
     ],
 )
