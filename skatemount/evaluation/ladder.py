@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,7 +22,7 @@ ENOUGH = 0.90
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#e377c2")
 _LIMIT = "#888888"
 _PANELS = 3
-"""Panels in a row of a figure."""
+"""Most panels in a row of a figure."""
 
 
 @dataclass(frozen=True)
@@ -126,14 +127,14 @@ def plot_ladders(ladders: Mapping[str, Mapping[str, Ladder]], png_path: Path) ->
     # The object interface has no global list of figures and needs no display.
     from matplotlib.figure import Figure
 
-    across = min(_PANELS, len(ladders))
-    down = -(-len(ladders) // across)
+    down = math.ceil(len(ladders) / _PANELS)
+    across = math.ceil(len(ladders) / down)
     figure = Figure(figsize=(4.2 * across, 3.4 * down), dpi=110, layout="constrained")
-    axes = figure.subplots(down, across, squeeze=False, sharey=True).flat
+    axes = figure.subplots(down, across, squeeze=False, sharey=True).ravel()
     names = list(dict.fromkeys(name for policies in ladders.values() for name in policies))
     for axis, (suite, policies) in zip(axes, ladders.items(), strict=False):
         _draw(axis, suite, policies, names)
-    for axis in list(axes)[len(ladders) :]:
+    for axis in axes[len(ladders) :]:
         axis.set_visible(False)
     with atomic.replacing(png_path) as temporary:
         figure.savefig(temporary, format="png")
@@ -160,6 +161,7 @@ def _draw(axis: Axes, suite: str, policies: Mapping[str, Ladder], names: list[st
     axis.yaxis.set_major_formatter("{x:.0%}")
     unit = f", {first.unit}" if first.unit and not labels[-1].endswith(first.unit) else ""
     axis.set_xlabel(f"{first.quantity}{unit}", fontsize=9)
+    axis.set_ylabel("success rate", fontsize=9)
     axis.tick_params(labelsize=8, labelleft=True)
     axis.grid(alpha=0.25)
     # One policy needs no legend: its name and its verdict fit into the title.

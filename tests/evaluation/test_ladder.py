@@ -97,3 +97,15 @@ def test_draws_a_line_for_each_policy(make_records: Make, tmp_path: Path) -> Non
         blue, orange = ((31, 119, 180), (255, 127, 14))
         colors.append([(np.abs(pixels - color) < 20).all(1).sum() > 50 for color in (blue, orange)])
     assert colors == [[True, False], [True, True]]
+
+
+def test_a_figure_of_five_suites_has_an_empty_place(make_records: Make, tmp_path: Path) -> None:
+    each = evaluation(make_records, [50, 40, 30, 20]).ladder()
+    assert each is not None
+    plot_ladders({f"suite {i}": {"one": each} for i in range(5)}, tmp_path / "a.png")
+    with Image.open(tmp_path / "a.png") as picture:
+        pixels = np.asarray(picture.convert("L"))
+    height, width = pixels.shape
+    assert width > 1.5 * height
+    places = [pixels[height // 2 :, i * width // 3 + 4 : (i + 1) * width // 3 - 4] for i in range(3)]
+    assert [bool((place < 128).any()) for place in places] == [True, True, False]
