@@ -107,6 +107,9 @@ def suites_page() -> str:
         lines.append(f"- version {values['version']}")
         if "stage" in values:
             lines += [f"- task of `stage={values['stage']}`", f"- seed {values['seed']}"]
+        if "ladder" in values:
+            unit = f" ({values['unit']})" if "unit" in values else ""
+            lines.append(f"- its variants are a ladder: {values['ladder']}{unit}")
         if "members" in values:
             lines.append(f"- suites: {', '.join(f'`{each}`' for each in values['members'])}")
         lines += [f"- `{override}`" for override in values.get("overrides", [])]
@@ -238,6 +241,11 @@ def pages() -> dict[str, tuple[str, str]]:
             "Boards that vary", "`boards=<name>` chooses [the boards of the worlds](../boards.md).", "boards"
         ),
         "sensing": group_page("Sensing", "`sensing=<name>` chooses the sensors' errors and the delays.", "sensing"),
+        "randomization": group_page(
+            "Randomization",
+            "`randomization=<name>` chooses the ranges of masses, friction and motors, and the pushes.",
+            "randomization",
+        ),
         "tasks": tasks_page(),
         "stages": stages_page(),
         "suites": suites_page(),

@@ -75,6 +75,7 @@ def test_every_input_of_a_term_has_its_shape_and_every_setting_its_meaning(pages
         ("boards", "board"),
         ("varied_boards", "boards"),
         ("sensing", "sensing"),
+        ("randomization", "randomization"),
         ("commands", "command"),
         ("tasks", "task"),
         ("stages", "stage"),
