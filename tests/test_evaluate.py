@@ -182,8 +182,8 @@ def test_a_mistake_is_one_line(policy: Path, tmp_path: Path) -> None:
     assert result.returncode == 2
     assert result.stderr == (
         "skatemount.evaluate: suite=walk: there is no suite walk; there are: all, approach-fixed, approach-unfixed, "
-        "balance-fixed, far, gait, hold, low-friction, mount-fixed, mount-unfixed, other-boards, pushed, rolling; "
-        "a suite of your own needs --config-dir <folder>\n"
+        "balance-fixed, drawn-boards, far, gait, hold, low-friction, mount-fixed, mount-unfixed, other-boards, "
+        "outside-boards, pushed, rolling; a suite of your own needs --config-dir <folder>\n"
     )
     assert result.stdout == ""
 
