@@ -179,6 +179,7 @@ class MountTask(composer.Task):
             self.scene = self.scene.with_board(self._boards.of_world[0])
             self._sampler = self.make_sampler(boards=self._boards)
 
+    @plain_defaults
     def after_compile(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Look up the ids of the compiled scene, and copy its nominal values."""
         self._index = SceneIndex.of(self.scene, physics.model.ptr)
