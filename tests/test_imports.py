@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = [
-    {"train", "evaluate", "record", "bench", "listing", "replay_diverged", "robot_spec", "__main__"},
+    {"train", "evaluate", "record", "bench", "listing", "replay_diverged", "robot_spec", "__main__", "adapters"},
     {"cli"},
     {"multirun"},
     {"profiling"},

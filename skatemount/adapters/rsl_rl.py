@@ -57,7 +57,7 @@ class RslRlEnv(VecEnv):
         return self
 
     @property
-    def episode_length_buf(self) -> Tensor:  # type: ignore[override]  # rsl_rl declares a plain attribute.
+    def episode_length_buf(self) -> Tensor:
         """``[N]`` int64: number of steps of each running episode. An assignment moves the episodes in time."""
         self._env.observations()
         return self._env.env.episode.step
