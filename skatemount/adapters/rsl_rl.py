@@ -31,6 +31,7 @@ class RslRlEnv(VecEnv):
         overrides: Further settings in Hydra's syntax.
         seed: Seed of all random numbers.
         log_every: Number of steps between two logged statistics.
+        config: Complete settings, in place of stage and overrides.
 
     Raises:
         ConfigError: The stage or a setting is unknown, or a setting has a value that cannot be used.
@@ -38,13 +39,14 @@ class RslRlEnv(VecEnv):
 
     def __init__(
         self,
-        stage: str,
+        stage: str | None = None,
         num_envs: int | None = None,
         overrides: Sequence[str] = (),
         seed: int = 0,
         log_every: int = 24,
+        config: configuration.TrainConfig | None = None,
     ):
-        self._env = AutoResetEnv(stage, num_envs, overrides, seed)
+        self._env = AutoResetEnv(stage, num_envs, overrides, seed, config)
         self.num_envs, self.num_actions = self._env.num_envs, self._env.num_actions
         self.max_episode_length = self._env.max_episode_steps
         self.device = self._env.env.device
