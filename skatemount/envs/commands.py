@@ -50,12 +50,17 @@ class CommandGenerator:
         control_step: Time between two actions, s.
         generator: Source of randomness.
         deck_height: Height of the deck's top above the floor at rest, m; not used if boards vary.
+
+    Attributes:
+        fixed: ``[3]`` or ``[N, 3]``, a command that every world gets in place of that of the settings, such as one from
+            a keyboard; None for that of the settings.
     """
 
     def __init__(
         self, config: CommandConfig, control_step: float, generator: torch.Generator, deck_height: float = 0.0
     ):
         config.validate()
+        self.fixed: Tensor | None = None
         self._depth = deck_height if config.board_point == "ground" else 0.0
         self._config = config
         self._steps = max(1, round(config.resample / control_step))
@@ -72,7 +77,9 @@ class CommandGenerator:
             sim: The state.
             episode: The episodes. With sampled commands, a world whose ``command_steps`` have run out gets a new one.
         """
-        if self._own is not None:
+        if self.fixed is not None:
+            episode.command = self.fixed.expand_as(episode.command).clone()
+        elif self._own is not None:
             self._own.update(sim, episode)
         elif self._config.mode == "board":
             direction = episode.board_direction if self._config.turn_to == "nearer" else None

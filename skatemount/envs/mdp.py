@@ -68,6 +68,8 @@ class Mdp:
         rewards: Reward terms.
         terminations: Termination terms.
         memory: Memory of those terms that have one.
+        commands: Source of the velocity commands.
+        sensed: ``[N]``, the states of the last step as the sensors showed them; None before the first step.
         max_mounted_time: Time that the robot has been mounted after which an episode is truncated, s; infinite if the
             time limit is the only one.
 
@@ -95,9 +97,10 @@ class Mdp:
         self.memory = TermMemory(
             [*self.rewards.memory, *self.terminations.memory, *observing], observing, self.context, self.device
         )
-        self._command_generator = CommandGenerator(
+        self.commands = CommandGenerator(
             config.command, self.context.control_step, generator, scene.deck_height
         )
+        self.sensed: SimState | None = None
         # The time constant of `EpisodeState.soft_success` is 0.35 s.
         self._soft_success_decay = math.exp(-self.context.control_step / 0.35)
         self.definition = TASKS.get(config.success)
@@ -151,7 +154,7 @@ class Mdp:
         position = (to_board @ (sim.base_pos - sim.board_pos).unsqueeze(-1)).squeeze(-1)
         heading = (to_board @ sim.base_rot[..., :1]).squeeze(-1)
         fresh.start = torch.cat((position[:, :2], torch.atan2(heading[:, 1:2], heading[:, :1])), 1)
-        self._command_generator.update(sensed, fresh)
+        self.commands.update(sensed, fresh)
         self.memory.begin(sim, fresh, rows)
         fresh.observation = self.observation(sensed, self.sensing.contacts(fresh, rows), self._noise)
         return fresh
@@ -183,7 +186,7 @@ class Mdp:
         episode.touching = touching
         episode.on_deck = on_deck
         episode.off_time = torch.where(on_deck, 0.0, episode.off_time + step)
-        sensed = self.sensing.sense(sim, episode)
+        sensed = self.sensed = self.sensing.sense(sim, episode)
         episode.board_direction = board_direction(sensed.board_rot_base, episode.board_direction)
         velocity = torch.linalg.vector_norm(sim.base_lin_vel[:, :2] - episode.command[:, :2], dim=-1)
         turn = (sim.base_ang_vel[:, 2] - episode.command[:, 2]).abs()
@@ -205,7 +208,7 @@ class Mdp:
         reward_terms = self.rewards(sim, episode)
         # The values of a diverged world mean nothing, and one that is not finite would spoil the whole batch.
         reward_terms = torch.where(diverged, 0.0, reward_terms)
-        self._command_generator.update(sensed, episode)
+        self.commands.update(sensed, episode)
         seen = self.sensing.contacts(episode)
         episode.observation = self.observation(sensed, seen, self._noise, episode.observation)
         if self.privileged.memory:

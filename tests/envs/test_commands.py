@@ -127,6 +127,17 @@ def test_commands_are_drawn_again_after_the_period() -> None:
         assert changed == [t for t in range(first, 12, 5) if t > 0]
 
 
+def test_a_fixed_command_replaces_that_of_the_settings_until_it_is_taken_back() -> None:
+    one = commander(mode="sampled", standing=0.0, deadband=0.0)
+    episode = EpisodeState.zeros(3, defaults.LAYOUT)
+    one.fixed = torch.tensor([0.5, 0.0, -1.0])
+    one.update(None, episode)
+    assert episode.command.tolist() == [[0.5, 0.0, -1.0]] * 3
+    one.fixed = None
+    one.update(None, episode)
+    assert len({tuple(row) for row in episode.command.tolist()}) == 3
+
+
 def test_same_seed_same_commands() -> None:
     def draw(seed: int) -> torch.Tensor:
         episode = EpisodeState.zeros(8, defaults.LAYOUT)

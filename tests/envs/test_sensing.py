@@ -117,6 +117,7 @@ def test_ideal_sensing_is_the_true_state_itself_and_adds_nothing_to_the_model(ma
     assert compose("unfixed").sensing == compose("unfixed", ["sensing=ideal"]).sensing
     recorder = Recorder(env, 2)
     assert all(a is b for a, b in zip(recorder.true, recorder.sensed, strict=True))
+    assert env.mdp.sensed is recorder.sensed[-1]
     assert env.physics.model.nhistory == 0 and env.world_state()["sensing"] == {}
     assert env.mdp.sensing.contacts(env.episode) is env.episode
 

@@ -54,12 +54,13 @@ class Physics(Protocol):
         """
         ...
 
-    def push(self, mask: Tensor, velocity: Tensor) -> None:
-        """Add to the trunk's velocity in the chosen worlds.
+    def push(self, mask: Tensor, velocity: Tensor, board: bool = False) -> None:
+        """Add to the velocity of the trunk, or of the deck, in the chosen worlds.
 
         Args:
             mask: ``[N]`` bool.
             velocity: ``[N, 3]`` world axes, m/s.
+            board: True for the deck, whose wheels keep their speed and slip until the floor has turned them.
         """
         ...
 

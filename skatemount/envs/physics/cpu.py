@@ -114,9 +114,9 @@ class CpuPhysics:
             if read is not array:
                 read[ids] = array[ids]
 
-    def push(self, mask: Tensor, velocity: Tensor) -> None:
-        """Add to the trunk's velocity; see `Physics.push`."""
-        dof = self.index.base_dof.start
+    def push(self, mask: Tensor, velocity: Tensor, board: bool = False) -> None:
+        """Add to the velocity of the trunk or the deck; see `Physics.push`."""
+        dof = int(self.index.board_dof[0]) if board else self.index.base_dof.start
         self._qvel[:, dof : dof + 3] += np.where(mask.numpy()[:, None], velocity.numpy(), 0.0)
 
     def pull_board(self, force: Tensor) -> None:

@@ -268,9 +268,9 @@ class WarpPhysics:
         for name, values in every.results.items():
             values[rows] = few.results[name][:n]
 
-    def push(self, mask: Tensor, velocity: Tensor) -> None:
-        """Add to the trunk's velocity; see `Physics.push`."""
-        dof = self.index.base_dof.start
+    def push(self, mask: Tensor, velocity: Tensor, board: bool = False) -> None:
+        """Add to the velocity of the trunk or the deck; see `Physics.push`."""
+        dof = int(self.index.board_dof[0]) if board else self.index.base_dof.start
         self._state["qvel"][:, dof : dof + 3] += torch.where(mask.unsqueeze(1), velocity, 0.0)
 
     def pull_board(self, force: Tensor) -> None:

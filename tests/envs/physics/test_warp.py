@@ -267,6 +267,17 @@ def test_a_run_of_a_version_with_fewer_fields_for_each_world_goes_on(warp: Physi
         warp.load_state_dict(saved)
 
 
+@pytest.mark.parametrize("board", [False, True])
+def test_a_push_adds_to_the_velocity_of_trunk_or_board(task: MountTask, warp: Physics, board: bool) -> None:
+    warp.reset(everywhere(4), starts(task, 4))
+    before = warp.raw_state()["qvel"]
+    warp.push(only(1), torch.tensor([[0.5, -0.2, 0.1]]).expand(4, 3), board)
+    first = int(warp.index.board_dof[0]) if board else warp.index.base_dof.start
+    expected = before.clone()
+    expected[1, first : first + 3] += torch.tensor([0.5, -0.2, 0.1])
+    assert torch.equal(warp.raw_state()["qvel"], expected)
+
+
 def test_a_world_that_fails_is_flagged_until_its_reset(task: MountTask, warp: Physics) -> None:
     start = starts(task, 4)
     warp.reset(everywhere(4), start)
