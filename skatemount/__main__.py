@@ -12,6 +12,7 @@ PROGRAMS = {
     "train": ("stage=balance", "train a stage (without one: which there are)"),
     "evaluate": ("checkpoint=pretrained:balance", "how often a policy succeeds"),
     "record": ("checkpoint=pretrained:balance", "film it"),
+    "play": ("checkpoint=pretrained:anywhere", "watch and push it in a browser"),
     "bench": ("stage=balance", "how fast training is here"),
     "list": ("stages", "stages, suites, boards, policies, terms, ..."),
     "replay-diverged": ("runs/.../0001_world_7.npz", "why the physics of a world failed"),
@@ -26,7 +27,7 @@ def help_text() -> str:
     for name, (example, about) in PROGRAMS.items():
         lines.append(f"  {f'skatemount {name} {example}':52}{about}")
     lines.append(
-        "python -m skatemount <program> is the same. train, evaluate, record and bench are modules too, such as"
+        "python -m skatemount <program> is the same. train, evaluate, record, play and bench are modules too, such as"
     )
     lines.append("python -m skatemount.train; their option --cfg job prints all settings.")
     return "\n".join(lines)

@@ -12,13 +12,14 @@ from skatemount.config.files import (
     using_config_dir,
 )
 from skatemount.config.messages import one_line
-from skatemount.config.programs import BenchProgramConfig, EvaluateConfig, PolicyConfig, RecordConfig
+from skatemount.config.programs import BenchProgramConfig, EvaluateConfig, PlayConfig, PolicyConfig, RecordConfig
 from skatemount.config.schema import TrainConfig
 
 __all__ = [
     "BenchProgramConfig",
     "TrainConfig",
     "EvaluateConfig",
+    "PlayConfig",
     "PolicyConfig",
     "RecordConfig",
     "check_choice",

@@ -24,6 +24,7 @@ _WHOLE_FLOAT = re.compile(r"[+-]?\d[\d_]*(\.\d*)?[eE]\+?\d+|[+-]?\d[\d_]*\.0*")
 _TEXTS = frozenset(
     [
         "checkpoint",
+        "host",
         "init_from",
         "json",
         "logger.experiment",
@@ -32,6 +33,7 @@ _TEXTS = frozenset(
         "output",
         "pipeline",
         "resume",
+        "run",
     ]
 )
 """Settings whose values are paths and names, which are taken as they are typed, whatever Hydra's grammar says."""

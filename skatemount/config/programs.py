@@ -11,8 +11,11 @@ from skatemount.config.schema import MAX_SEED, TrainConfig, check_root
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.config.task import TaskConfig
 from skatemount.utils.bounds import number
+from skatemount.utils.errors import ConfigError
 
 MAX_EPISODE = 2**40
+AGENTS = ("trained", "zero", "random")
+VIEWERS = ("auto", "page", "native")
 
 
 @dataclass
@@ -28,7 +31,7 @@ class RunsConfig:
 
 @dataclass
 class PolicyConfig(TaskConfig):
-    """Settings that `EvaluateConfig` and `RecordConfig` share: a policy and the task to try it in.
+    """Settings that `EvaluateConfig`, `RecordConfig` and `PlayConfig` share: a policy and the task to try it in.
 
     Settings of the task count only where the user gives them: the task is the suite's, or that of the policy's
     training (`skatemount.evaluation.suite_task.evaluation_config`).
@@ -41,7 +44,6 @@ class PolicyConfig(TaskConfig):
         seed: Seed of worlds and start states.
         torch_threads: Torch's threads; 0 takes every core. Another number rounds the policy's actions differently.
         logger: Place of the runs.
-        output: Folder for what is made.
     """
 
     checkpoint: str
@@ -51,7 +53,6 @@ class PolicyConfig(TaskConfig):
     seed: int = field(metadata=number(0, MAX_SEED))
     torch_threads: int = field(metadata=number(1, 1024, zero="every core"))
     logger: RunsConfig
-    output: str | None
 
     def validate(self) -> None:
         """Raise `ConfigError` for the first setting that cannot be used."""
@@ -68,10 +69,12 @@ class EvaluateConfig(PolicyConfig):
     Attributes:
         episodes: Episodes of each suite.
         json: File for the results.
+        output: Folder for the results and success maps.
     """
 
     episodes: int = field(metadata=number(1, 10**6))
     json: str | None
+    output: str | None
 
 
 @dataclass
@@ -81,15 +84,60 @@ class RecordConfig(PolicyConfig):
     Attributes:
         episode: Number of the episode to film, as the evaluation counts; null films the first success.
         film: Size, camera and speed of the film.
+        output: Folder for the film.
     """
 
     episode: int | None = field(metadata=number(0, MAX_EPISODE))
     film: FilmConfig
+    output: str | None
 
     def validate(self) -> None:
         """Raise `ConfigError` for the first setting that cannot be used."""
         super().validate()
         self.film.validate("film")
+
+
+@dataclass
+class PlayConfig(PolicyConfig):
+    """Settings of `python -m skatemount.play`; ``conf/play.yaml`` has the defaults.
+
+    Attributes:
+        run: Run whose newest checkpoint acts first, instead of ``checkpoint``: ``latest`` or a folder.
+        watch: Take each new checkpoint of the run, and show its curves and curriculum.
+        agent: Policy that acts first, one of `AGENTS`; ``zero`` and ``random`` act in the task of the trained policy.
+        worlds: Number of worlds, which stand in a grid.
+        speed: Seconds of the simulation in a second.
+        viewer: One of `VIEWERS`: ``page`` in a browser, MuJoCo's ``native`` window, or ``auto``: the page if it is
+            installed.
+        host: Address that the page listens on.
+        port: Its port; a busy one is replaced by the next free one.
+        open_browser: Open the page in the default browser, where there is a display.
+    """
+
+    run: str | None
+    watch: bool
+    agent: str
+    worlds: int = field(metadata=number(1, 256))
+    speed: float = field(metadata=number(1 / 16, 4, why="0.5 plays at half speed"))
+    viewer: str
+    host: str
+    port: int = field(metadata=number(1, 65535))
+    open_browser: bool
+
+    def validate(self) -> None:
+        """Raise `ConfigError` for the first setting that cannot be used."""
+        super().validate()
+        for name, known in (("agent", AGENTS), ("viewer", VIEWERS)):
+            if (value := getattr(self, name)) not in known:
+                raise ConfigError(f"{name}={value} must be one of {', '.join(known)}")
+        if self.suite is not None and self.suite.members:
+            raise ConfigError(f"suite={self.suite.name}: name one to play in, of {', '.join(self.suite.members)}")
+        if self.run is not None and self.pipeline is not None:
+            raise ConfigError(f"run={self.run} with pipeline={self.pipeline}: leave out one of the two")
+        if self.watch and self.run is None:
+            raise ConfigError("watch=true needs the run to follow, such as run=latest")
+        if self.watch and self.viewer == "native":
+            raise ConfigError("watch=true shows curves, which viewer=native cannot; leave out one of the two")
 
 
 @dataclass
@@ -121,6 +169,7 @@ PROGRAMS: dict[str, type[TaskConfig]] = {
     "train": TrainConfig,
     "evaluate": EvaluateConfig,
     "record": RecordConfig,
+    "play": PlayConfig,
     "bench": BenchProgramConfig,
 }
 """Schema of each program; its YAML file has the same name."""

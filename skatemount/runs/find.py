@@ -62,7 +62,7 @@ def find_checkpoint(spec: str, root: Path | str = Path("runs"), setting: str = "
             raise ConfigError(f"{setting}={spec}: a sweep; name one of its runs: {_choices(runs)}")
     if policies and shipped_file(spec) is not None:
         raise ConfigError(f"{setting}={spec}: not found; did you mean {PRETRAINED}{spec}?")
-    names = [str(run) for run in itertools.islice(_runs_with_checkpoints(root), 3)]
+    names = [str(run) for run in itertools.islice(runs_with_checkpoints(root), 3)]
     if setting == "resume":
         raise ConfigError(f"{setting}={spec}: not found; the newest runs in {root} are: {_choices(names)}")
     raise ConfigError(f"{setting}={spec}: not found; there are: {_choices([*names, *policies])}")
@@ -96,10 +96,11 @@ def _newest_run(root: Path) -> Path | None:
     marked = follow(root / "latest")
     if marked is not None and RunFolder(marked).latest is not None:
         return marked
-    return next(_runs_with_checkpoints(root), None)
+    return next(runs_with_checkpoints(root), None)
 
 
-def _runs_with_checkpoints(root: Path) -> Iterator[Path]:
+def runs_with_checkpoints(root: Path) -> Iterator[Path]:
+    """Return the runs in a folder of all runs that have a checkpoint, the newest first."""
     folders = list(root.glob("*/*"))
     folders += [run for folder in filter(is_sweep, folders) for run in folder.glob("*")]
     runs = sorted(filter(is_run, folders), key=age_key, reverse=True)
