@@ -183,8 +183,8 @@ class RunWatcher:
             if found == self._picture:
                 return None
             self._picture = found
-            with Image.open(path) as picture:
-                picture = picture.convert("RGB")
+            with Image.open(path) as file:
+                picture = file.convert("RGB")
                 picture.thumbnail((PICTURE_WIDTH, PICTURE_WIDTH))
                 return np.asarray(picture)
         except OSError:
