@@ -11,6 +11,7 @@ from skatemount.utils.signals import exiting_by_signals
 if TYPE_CHECKING:
     from skatemount.config import PlayConfig
     from skatemount.viewer.session import Session
+    from skatemount.viewer.watch import RunWatcher
 
 
 def play(config: PlayConfig, overrides: list[str]) -> None:
@@ -82,12 +83,12 @@ def choose_viewer(viewer: str, installed: bool, display: bool) -> str:
     return viewer if viewer != "auto" else "page" if installed else "native"
 
 
-def _show_page(session: Session, watcher: object, config: PlayConfig) -> None:
+def _show_page(session: Session, watcher: RunWatcher | None, config: PlayConfig) -> None:
     from skatemount.viewer import server
     from skatemount.viewer.page import Page
 
     found, address = server.start(config.host, config.port)
-    page = Page(found, session, watcher)  # type: ignore[arg-type]
+    page = Page(found, session, watcher, config.plain)
     with contextlib.closing(page):
         print(f"open {address} in a browser; Ctrl-C ends", flush=True)
         if config.open_browser:

@@ -112,6 +112,7 @@ class PlayConfig(PolicyConfig):
         host: Address that the page listens on.
         port: Its port; a busy one is replaced by the next free one.
         open_browser: Open the page in the default browser, where there is a display.
+        plain: Draw the page without shadows and reflections, which are slow in a browser without a GPU.
     """
 
     run: str | None
@@ -123,6 +124,7 @@ class PlayConfig(PolicyConfig):
     host: str
     port: int = field(metadata=number(1, 65535))
     open_browser: bool
+    plain: bool
 
     def validate(self) -> None:
         """Raise `ConfigError` for the first setting that cannot be used."""

@@ -97,9 +97,7 @@ class Mdp:
         self.memory = TermMemory(
             [*self.rewards.memory, *self.terminations.memory, *observing], observing, self.context, self.device
         )
-        self.commands = CommandGenerator(
-            config.command, self.context.control_step, generator, scene.deck_height
-        )
+        self.commands = CommandGenerator(config.command, self.context.control_step, generator, scene.deck_height)
         self.sensed: SimState | None = None
         # The time constant of `EpisodeState.soft_success` is 0.35 s.
         self._soft_success_decay = math.exp(-self.context.control_step / 0.35)

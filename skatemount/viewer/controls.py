@@ -61,6 +61,8 @@ class Controls:
         stop.on_update(lambda _: self._set("pause_at_end", stop.value))
         camera = gui.add_button_group("Camera", list(CAMERAS))
         camera.on_click(lambda _: submit(lambda: self._choose_camera(camera.value), "camera"))
+        plain = gui.add_checkbox("Plain drawing", self._view.plain, hint="Faster in a browser without a GPU")
+        plain.on_update(lambda _: submit(lambda: self._view.set_plain(plain.value), "plain"))
         self._keys()
 
     def task_tab(self) -> None:

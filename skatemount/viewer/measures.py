@@ -120,7 +120,7 @@ class Pace:
         """
         now = self._clock()
         # What a slow step or a pause has cost is not caught up with.
-        self._next = max(self._next + control_step / speed, now - control_step / speed)
+        self._next = max(self._next + control_step / speed, now)
         self._done.append((now, control_step))
 
     def restart(self) -> None:

@@ -37,6 +37,7 @@ class Page:
         server: The viser server.
         session: The session.
         watcher: Follows a training; None without one.
+        plain: Draw without shadows and reflections.
         clock: A steady clock, s.
     """
 
@@ -45,10 +46,11 @@ class Page:
         server: Any,
         session: Session,
         watcher: RunWatcher | None = None,
+        plain: bool = False,
         clock: Callable[[], float] = time.perf_counter,
     ):
         self.server, self.session, self._clock = server, session, clock
-        self.view = SceneView(server, session)
+        self.view = SceneView(server, session, plain)
         self.pace = Pace(clock)
         self._watcher = watcher
         self._drawn = self._written = -1.0

@@ -115,10 +115,11 @@ class Foot:
 
 
 def feet(session: Session, world: int) -> tuple[list[Foot], np.ndarray]:
-    """Return the contacts of the feet of a world, and ``[F, 2, 3]`` places and forces, m and N."""
+    """Return the contacts of the feet of a world, and ``[F, 2, 3]`` their places and the forces on them, m and N."""
     sim, episode = session.env.sim, session.env.episode
     deck, other = sim.foot_deck_force[world], sim.foot_other_force[world]
-    total = (deck + other).cpu().numpy()
+    # The state has the forces that the feet press with; what carries the robot points the other way.
+    total = -(deck + other).cpu().numpy()
     found = []
     for i, name in enumerate(session.env.mdp.context.layout.legs):
         where = "deck" if episode.on_deck[world, i] else "ground" if other[i].norm() > PRESSED else "air"

@@ -30,16 +30,18 @@ class SceneView:
     Args:
         server: The viser server.
         session: The session.
+        plain: See `plain`.
 
     Attributes:
         camera: One of `CAMERAS`; all but ``free`` move with the selected robot.
         only_selected: Draw the selected world alone.
         show_forces: Draw the contact forces of the selected robot's feet.
         show_sensed: Draw the board of the selected world where the policy's sensors see it.
+        plain: Draw without shadows and reflections, which are slow in a browser without a GPU.
     """
 
-    def __init__(self, server: Any, session: Session):
-        self._server, self._session = server, session
+    def __init__(self, server: Any, session: Session, plain: bool = False):
+        self._server, self._session, self.plain = server, session, plain
         self.camera = "follow"
         self.only_selected = False
         self.show_forces = self.show_sensed = True
@@ -73,7 +75,19 @@ class SceneView:
             opacity=0.55,
             visible=False,
         )
+        self.set_plain(self.plain)
         self._center = self._reader.bodies().xpos[session.selected, self._root]
+
+    def set_plain(self, plain: bool) -> None:
+        """Draw with shadows and reflections, or without."""
+        self.plain = plain
+        scene = self._server.scene
+        scene.configure_default_lights(cast_shadow=not plain)
+        scene.configure_environment_map(None if plain else "warehouse", environment_intensity=0.8)
+        # In place of the light of the surroundings.
+        scene.add_light_hemisphere("/sky", ground_color=(170, 170, 170), intensity=1.5, visible=plain)
+        if (floor := scene.get_handle_by_name("/fixed_bodies/world/floor")) is not None:
+            floor.plane_opacity, floor.shadow_opacity = (0.0, 0.0) if plain else (0.4, 0.2)
 
     def stepped(self) -> None:
         """Read the poses after a control step."""

@@ -33,16 +33,14 @@ def status(session: Session, speed: float | None) -> str:
         "task": session.config_name,
         "success": str(session.tally),
         "speed": pace,
-        "time": f'<span id="play-time">{session.time:.2f}</span> s',
+        "time": f"{session.time:.2f} s",
         "episode": f"{elapsed:.2f} of {env.task.config.episode_length:g} s {state}",
-        "robot": f'<span id="play-robot">{x:.4f} {y:.4f} {z:.4f}</span> m',
-        "board": f'<span id="play-board">{bx:.4f} {by:.4f}</span> m, {"fixed" if sim.board_fixed[world] else "free"}',
+        "robot": f"{x:.4f} {y:.4f} {z:.4f} m",
+        "board": f"{bx:.4f} {by:.4f} m, {'fixed' if sim.board_fixed[world] else 'free'}",
         "command": f"{command} (forward, left m/s; turn rad/s)",
     }
-    plain = {"policy", "task", "success", "command"}
     lines = [
-        f"<tr><td style='color:#888;padding-right:8px'>{name}</td>"
-        f"<td>{html.escape(value) if name in plain else value}</td></tr>"
+        f"<tr><td style='color:#888;padding-right:8px'>{name}</td><td id='play-{name}'>{html.escape(value)}</td></tr>"
         for name, value in rows.items()
     ]
     return f"<div style='{_BOX}'><table>{''.join(lines)}</table>{problem(session)}</div>"

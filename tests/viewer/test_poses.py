@@ -57,7 +57,7 @@ def test_feet_on_the_deck_carry_the_robot(session: Session) -> None:
     assert [foot.name for foot in found] == ["FR", "FL", "RR", "RL"]
     assert {foot.where for foot in found} == {"deck"} and arrows.shape == (4, 2, 3)
     total = arrows[:, 1].sum(0)[2]
-    assert total == pytest.approx(float(session.env.sim.foot_deck_force[0, :, 2].sum()), rel=1e-5) and total > 60
+    assert total == pytest.approx(-float(session.env.sim.foot_deck_force[0, :, 2].sum()), rel=1e-5) and total > 60
     shown = texts.contacts(session, found)
     assert "FR" in shown and "The policy sees the true board." in shown
 
@@ -79,7 +79,7 @@ def test_the_sensed_board_is_off_by_what_the_sensors_err(session: Session) -> No
 
 def test_texts_are_html_of_what_happens(session: Session) -> None:
     shown = texts.status(session, 0.97)
-    assert "0.97 of 1 ×" in shown and "balance" in shown and 'id="play-robot"' in shown
+    assert "0.97 of 1 ×" in shown and "balance" in shown and "id='play-robot'" in shown
     session.message = "<b>no such board"
     assert "&lt;b&gt;no such board" in texts.problem(session)
     session.error = "ValueError: wrong\n\nTraceback"

@@ -1,37 +1,18 @@
 from __future__ import annotations
 
-import json
 import os
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from viewer_runs import log, save
 
-from skatemount.runs.checkpoint import POLICY_FILE
 from skatemount.runs.folder import RunFolder
-from skatemount.runs.shipped import POLICIES
 from skatemount.utils.errors import ConfigError
 from skatemount.viewer.session import Session
 from skatemount.viewer.watch import EVERY, MetricsTail, RunWatcher, find_run
-
-
-def save(run: RunFolder, frames: int, policy: str = "balance") -> Path:
-    """Save a shipped policy as a checkpoint."""
-    folder = run.checkpoint(frames)
-    folder.mkdir()
-    for ending in (".safetensors", ".json"):
-        shutil.copy(POLICIES / f"{policy}{ending}", (folder / POLICY_FILE).with_suffix(ending))
-    run.mark_checkpoint(folder, None)
-    return folder
-
-
-def log(run: RunFolder, frames: int, **metrics: float | None) -> None:
-    with (run.path / "metrics.jsonl").open("a") as file:
-        named = {name.replace("_", "/", 1): value for name, value in metrics.items()}
-        file.write(json.dumps({"frames": frames, **named}) + "\n")
 
 
 def test_the_newest_run_is_found_before_it_has_a_checkpoint(runs_root: Path) -> None:
