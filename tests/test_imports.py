@@ -11,12 +11,23 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = [
-    {"train", "evaluate", "record", "bench", "listing", "replay_diverged", "robot_spec", "__main__", "adapters"},
+    {
+        "train",
+        "evaluate",
+        "record",
+        "play",
+        "bench",
+        "listing",
+        "replay_diverged",
+        "robot_spec",
+        "__main__",
+        "adapters",
+    },
     {"cli"},
     {"multirun"},
     {"profiling"},
     {"training"},
-    {"rendering"},
+    {"rendering", "viewer"},
     {"evaluation"},
     {"agents"},
     {"config"},

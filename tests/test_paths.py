@@ -69,6 +69,7 @@ def test_paths_are_what_was_typed(name: str) -> None:
         "train": ["resume", "init_from", "logger.root", "logger.name", "logger.experiment"],
         "evaluate": ["checkpoint", "json", "output", "logger.root"],
         "record": ["checkpoint", "output", "logger.root"],
+        "play": ["checkpoint", "run", "host"],
         "bench": ["init_from", "json", "output"],
     }.items():
         for setting in settings:

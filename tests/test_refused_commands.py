@@ -15,13 +15,20 @@ from skatemount import cli
 from skatemount.bench import bench
 from skatemount.config import set_user_config_dir
 from skatemount.evaluate import evaluate
+from skatemount.play import play
 from skatemount.record import record
 from skatemount.runs.shipped import shipped_file
 from skatemount.train import train
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
-VERBS: dict[str, Callable[..., Any]] = {"train": train, "evaluate": evaluate, "record": record, "bench": bench}
+VERBS: dict[str, Callable[..., Any]] = {
+    "train": train,
+    "evaluate": evaluate,
+    "record": record,
+    "play": play,
+    "bench": bench,
+}
 
 
 @pytest.fixture
