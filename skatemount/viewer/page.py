@@ -168,7 +168,7 @@ class Page:
         self._plot.data = (times, *(values[i] for i in chosen), *missing)
 
     def _follow(self, watcher: RunWatcher) -> None:
-        """Take what is new of a training."""
+        """Show the new files of a training."""
         if watcher.poll(self.session):
             for metrics, plot in self._training_curves.items():
                 plot.data = watcher.tail.columns(metrics)

@@ -111,7 +111,7 @@ class Session:
         self.conditions = Conditions()
         self.start: ChosenStart | None = None
         self.command: tuple[float, float, float] | None = None
-        self.board = ""
+        self.board, self._given = "", list(task.overrides)
         self.error = self.message = ""
         self.ends: deque[End] = deque(maxlen=12)
         self._actions: dict[object, Callable[[], None]] = {}
@@ -224,11 +224,12 @@ class Session:
 
     def change_conditions(self, conditions: Conditions) -> None:
         """Change delays, noise and friction."""
-        before, self.conditions = self.conditions, conditions
+        before, builds, self.conditions = self.conditions, self.builds, conditions
         try:
             self._build()
-        except ConfigError:
-            self.conditions = before
+        except Exception:
+            if self.builds == builds:
+                self.conditions = before
             raise
 
     def choose_start(self, start: ChosenStart | None) -> None:
@@ -289,15 +290,14 @@ class Session:
         return self.task.agent.name if self.agent == "trained" else self.agent
 
     def _overrides(self, board: str) -> list[str]:
-        """Return the user's overrides of the task, with another board unless its name is empty."""
-        given = [each for each in self.task.overrides if each != f"board={self.board}" or not self.board]
+        """Return the overrides that the session began with, with another board unless its name is empty."""
         if not board:
-            return given
-        return [*(each for each in given if each.partition("=")[0].lstrip("+") != "board"), f"board={board}"]
+            return self._given
+        return [*(each for each in self._given if each.partition("=")[0].lstrip("+") != "board"), f"board={board}"]
 
     def _take(self, task: EvaluationTask, agent: str) -> None:
         """Play another task; the present one stays if that fails."""
-        before = self.task, self.agent, self.variant
+        before, builds = (self.task, self.agent, self.variant), self.builds
         variant = self.variant if self.variant in task.configs else next(iter(task.configs))
         same = _without_seed(task, variant) == _without_seed(self.task, self.variant)
         self.task, self.agent, self.variant = task, agent, variant
@@ -308,8 +308,9 @@ class Session:
                 self.reset()
             else:
                 self._build()
-        except ConfigError:
-            self.task, self.agent, self.variant = before
+        except Exception:
+            if self.builds == builds:
+                self.task, self.agent, self.variant = before
             raise
 
     def _build(self) -> None:
@@ -324,7 +325,7 @@ class Session:
         try:
             check_interface(task.agent.card, env.task, task.agent.settings[0])
             self._apply_start(env)
-        except ConfigError:
+        except Exception:
             env.close()
             raise
         self._apply_command(env)

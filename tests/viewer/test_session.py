@@ -260,3 +260,11 @@ def test_a_run_of_ones_own_is_loaded_from_its_root(session: Session, tmp_path: P
     session.root = tmp_path
     do(session, lambda: session.choose_policy("latest"))
     assert "no run in" in session.message
+
+
+def test_the_users_own_board_comes_back(make_session: Callable[..., Session]) -> None:
+    session = make_session("board=longboard", worlds=1)
+    do(session, lambda: session.choose_board("mini"))
+    assert session.env.task.config.board.deck_length < 1.0
+    do(session, lambda: session.choose_board(""))
+    assert session.env.task.config.board.deck_length == 1.0 and not session.message
