@@ -84,14 +84,15 @@ class RewardHistory:
         """Return the indices of the terms to draw, the largest first.
 
         Args:
-            world: The world whose terms are compared by their mean size.
+            world: The world whose terms are compared by their median size.
             pattern: Parts of names, separated by blanks or commas; every term if empty.
             most: Largest number of terms.
         """
         parts = pattern.replace(",", " ").split()
         fits = [i for i, name in enumerate(self.names) if not parts or any(part in name for part in parts)]
         _, values = self.curves(world)
-        size = np.abs(values).mean(1) if values.size else np.zeros(len(self.names))
+        # The median, so that a single event, such as the end of an episode, does not hide the other terms.
+        size = np.median(np.abs(values), 1) if values.size else np.zeros(len(self.names))
         return sorted(fits, key=lambda i: -size[i])[:most]
 
 

@@ -27,6 +27,7 @@ TEXT = 0.25
 CURVES = 6
 """Number of reward terms that are drawn."""
 
+FRAMES = "million frames"
 COLORS = ("#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#008080")
 
 
@@ -96,10 +97,14 @@ class Page:
         gui = self.server.gui
         self._training_curves = {}
         for title, metrics in watcher.plots().items():
-            described = curves([name.rpartition("/")[2] for name in metrics], "frames")[: 1 + len(metrics)]
-            self._training_curves[metrics] = gui.add_uplot(
-                tuple([np.zeros(2)] * len(described)), described, title=title, scales={"x": {"time": False}}, height=200
+            plot = gui.add_uplot(
+                on_one_axis([], len(metrics)),
+                curves([], FRAMES, len(metrics)),
+                title=title,
+                scales={"x": {"time": False}},
+                height=200,
             )
+            self._training_curves[title] = (plot, metrics)
         self._picture = gui.add_image(np.full((1, 1, 3), 255, np.uint8), label="Success map", visible=False)
         self._training = gui.add_html("")
 
@@ -170,8 +175,10 @@ class Page:
     def _follow(self, watcher: RunWatcher) -> None:
         """Show the new files of a training."""
         if watcher.poll(self.session):
-            for metrics, plot in self._training_curves.items():
-                plot.data = watcher.tail.columns(metrics)
+            for plot, metrics in self._training_curves.values():
+                found = watcher.tail.curves(metrics)
+                plot.series = curves([metrics[name] for name in found], FRAMES, len(metrics))
+                plot.data = on_one_axis(list(found.values()), len(metrics))
         _put(self._training, watcher.text)
         if (picture := watcher.new_picture()) is not None:
             self._picture.image = picture
@@ -192,13 +199,30 @@ class Page:
         self.session.close()
 
 
-def curves(names: Sequence[str], along: str = "time (s)") -> tuple[dict[str, Any], ...]:
-    """Return uPlot's description of an x axis and `CURVES` curves, of which those without a name are not shown."""
+def curves(names: Sequence[str], along: str = "time (s)", number: int = CURVES) -> tuple[dict[str, Any], ...]:
+    """Return uPlot's description of an x axis and some curves, of which those without a name are not shown."""
     found: list[dict[str, Any]] = [{"label": along}]
-    for i, color in enumerate(COLORS[:CURVES]):
+    for i, color in enumerate(COLORS[:number]):
         name = names[i] if i < len(names) else ""
         found.append({"label": name, "stroke": color, "width": 2, "show": bool(name)})
     return tuple(found)
+
+
+def on_one_axis(found: Sequence[tuple[np.ndarray, np.ndarray]], number: int) -> tuple[np.ndarray, ...]:
+    """Return curves for uPlot, which wants every curve at the same places and draws none with a gap.
+
+    Args:
+        found: Places and values of each curve. Between its values a curve is a straight line.
+        number: Number of curves to return, of which those that are missing are zero.
+
+    Returns:
+        The places of all curves together, and the values of each curve there.
+    """
+    if not found:
+        return tuple([np.zeros(2)] * (1 + number))
+    places = np.unique(np.concatenate([x for x, _ in found]))
+    values = [np.interp(places, x, y) for x, y in found]
+    return (places, *values, *[np.zeros(len(places))] * (number - len(found)))
 
 
 def _put(handle: Any, content: str) -> None:

@@ -6,7 +6,7 @@ import html
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -26,11 +26,11 @@ PICTURE_WIDTH = 900
 """Largest width of a picture in the page, pixels."""
 
 CURVES = {
-    "success": ("Success/rate", "Evaluation/success"),
-    "reward of an episode": ("Train/mean_reward",),
-    "curriculum": ("Curriculum/bins_open", "Curriculum/bins_solved"),
+    "success": {"Success/rate": "training", "Evaluation/success": "evaluated"},
+    "reward of an episode": {"Train/mean_reward": "training"},
+    "curriculum": {"Curriculum/bins_open": "open", "Curriculum/bins_solved": "solved"},
 }
-"""Metrics of each plot."""
+"""Metrics of each plot, with their labels."""
 
 LISTED = ("Success/", "Evaluation/success", "Train/mean", "Curriculum/", "Perf/total_fps")
 """Beginnings of the metrics whose last values are listed."""
@@ -100,10 +100,20 @@ class MetricsTail:
                 continue
         return bool(whole)
 
-    def columns(self, names: tuple[str, ...], most: int = 400) -> tuple[np.ndarray, ...]:
-        """Return the frames and some metrics, nan where a line lacks them, at most about ``most`` lines of them."""
-        rows = self.rows[:: 1 + len(self.rows) // most]
-        return tuple(np.array([row.get(name, math.nan) for row in rows], float) for name in (STEP, *names))
+    def curves(self, names: Iterable[str], most: int = 400) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return frames, in millions, and values of those metrics that there are; at most about ``most`` of each.
+
+        Args:
+            names: Names of metrics. A line that lacks one has no value of it.
+            most: Number of values.
+        """
+        found = {}
+        for name in names:
+            points = [(row[STEP], row[name]) for row in self.rows if math.isfinite(row.get(name, math.nan))]
+            if points:
+                frames, values = np.array(points[:: 1 + len(points) // most], float).T
+                found[name] = (frames / 1e6, values)
+        return found
 
 
 class RunWatcher:
@@ -169,8 +179,8 @@ class RunWatcher:
         self.text = self._in_words()
         return changed
 
-    def plots(self) -> dict[str, tuple[str, ...]]:
-        """Return the metrics of each plot, by its title."""
+    def plots(self) -> dict[str, dict[str, str]]:
+        """Return the metrics of each plot with their labels, by the title of the plot."""
         config = RunFolder(self.run).config
         kind = (config.get("curriculum") or {}).get("kind", "none")
         return {title: names for title, names in CURVES.items() if title != "curriculum" or kind == "auto"}

@@ -11,6 +11,7 @@ from viewer_runs import log, save
 
 from skatemount.runs.folder import RunFolder
 from skatemount.utils.errors import ConfigError
+from skatemount.viewer.page import on_one_axis
 from skatemount.viewer.session import Session
 from skatemount.viewer.watch import EVERY, MetricsTail, RunWatcher, find_run
 
@@ -34,19 +35,28 @@ def test_only_new_lines_are_read(tmp_path: Path) -> None:
     with path.open("a") as file:
         file.write(': null}\nbroken\n{"frames": 30, "b": 2}\n')
     assert tail.update()
-    frames, a, b = tail.columns(("a", "b"))
-    assert frames.tolist() == [10, 20, 30]
-    np.testing.assert_array_equal(a, [1.0, np.nan, np.nan])
-    np.testing.assert_array_equal(b, [np.nan, np.nan, 2.0])
+    found = tail.curves(("a", "b", "c"))
+    assert {name: [each.tolist() for each in curve] for name, curve in found.items()} == {
+        "a": [[10e-6], [1.0]],
+        "b": [[30e-6], [2.0]],
+    }
     path.write_text('{"frames": 10, "a": 1.0}\n')  # as a training does that resumes
     assert tail.update() and len(tail.rows) == 1
-    assert len(MetricsTail(path).columns(("a",))[0]) == 0
+    assert MetricsTail(path).curves(("a",)) == {}
 
 
 def test_many_lines_are_thinned_out(tmp_path: Path) -> None:
     tail = MetricsTail(tmp_path / "metrics.jsonl")
-    tail.rows = [{"frames": i} for i in range(5000)]
-    assert 300 < len(tail.columns((), 400)[0]) <= 401
+    tail.rows = [{"frames": i, "a": 0.5} for i in range(5000)]
+    assert 300 < len(tail.curves(("a",), 400)["a"][0]) <= 401
+
+
+def test_curves_share_an_axis_and_have_no_gaps() -> None:
+    one, two = (np.array([1.0, 3.0]), np.array([10.0, 30.0])), (np.array([2.0]), np.array([5.0]))
+    places, *values = on_one_axis([one, two], 3)
+    assert places.tolist() == [1, 2, 3]
+    assert [each.tolist() for each in values] == [[10, 20, 30], [5, 5, 5], [0, 0, 0]]
+    assert len(on_one_axis([], 2)) == 3
 
 
 def test_a_new_checkpoint_acts_and_metrics_and_map_are_shown(
