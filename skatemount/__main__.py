@@ -13,6 +13,7 @@ PROGRAMS = {
     "evaluate": ("checkpoint=pretrained:balance", "how often a policy succeeds"),
     "record": ("checkpoint=pretrained:balance", "film it"),
     "play": ("checkpoint=pretrained:anywhere", "watch and push it in a browser"),
+    "report": ("run=latest output=report.html", "a page about a run, two runs, a sweep or the paper"),
     "bench": ("stage=balance", "how fast training is here"),
     "list": ("stages", "stages, suites, boards, policies, terms, ..."),
     "replay-diverged": ("runs/.../0001_world_7.npz", "why the physics of a world failed"),
@@ -26,10 +27,8 @@ def help_text() -> str:
     lines = ["skatemount is used through its programs:"]
     for name, (example, about) in PROGRAMS.items():
         lines.append(f"  {f'skatemount {name} {example}':52}{about}")
-    lines.append(
-        "python -m skatemount <program> is the same. train, evaluate, record, play and bench are modules too, such as"
-    )
-    lines.append("python -m skatemount.train; their option --cfg job prints all settings.")
+    lines.append("python -m skatemount <program> is the same. Those up to bench are modules too, such as python -m")
+    lines.append("skatemount.train; their option --cfg job prints all settings.")
     return "\n".join(lines)
 
 

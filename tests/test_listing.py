@@ -157,13 +157,14 @@ def test_the_command_says_what_programs_there_are(
     monkeypatch.setattr(sys, "argv", ["skatemount"])
     command.main()
     out = capsys.readouterr().out
-    assert all(f"\n  skatemount {name} " in out for name in ("train", "evaluate", "record", "play", "bench", "list"))
+    programs = ("train", "evaluate", "record", "play", "report", "bench", "list")
+    assert all(f"\n  skatemount {name} " in out for name in programs)
     monkeypatch.setattr(sys, "argv", ["skatemount", "trian"])
     with pytest.raises(SystemExit) as ended:
         command.main()
     assert ended.value.code == 2
     assert capsys.readouterr().err == (
-        "skatemount: there is no program trian; there are: train, evaluate, record, play, bench, list, "
+        "skatemount: there is no program trian; there are: train, evaluate, record, play, report, bench, list, "
         "replay-diverged, robot-spec\n"
     )
 

@@ -38,10 +38,11 @@ def shipped_files(root: Path) -> set[str]:
     package = {
         path.relative_to(root).as_posix()
         for path in (root / "skatemount").rglob("*.*")
-        if path.suffix in {".py", ".typed", ".safetensors", ".json", ".md"}
+        if path.suffix in {".py", ".typed", ".safetensors", ".json", ".md", ".jinja", ".css", ".js"}
     }
+    results = {f"skatemount/results/{path.name}" for path in (root / "docs" / "results").glob("*.json")}
     settings = {f"skatemount/{path.relative_to(root).as_posix()}" for path in (root / "conf").rglob("*.yaml")}
-    return package | settings
+    return package | settings | results
 
 
 def wheel_files(wheel: Path) -> set[str]:

@@ -70,6 +70,7 @@ def test_paths_are_what_was_typed(name: str) -> None:
         "evaluate": ["checkpoint", "json", "output", "logger.root"],
         "record": ["checkpoint", "output", "logger.root"],
         "play": ["checkpoint", "run", "host"],
+        "report": ["run", "against", "sweep", "output", "logger.root"],
         "bench": ["init_from", "json", "output"],
     }.items():
         for setting in settings:

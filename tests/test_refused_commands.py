@@ -17,6 +17,7 @@ from skatemount.config import set_user_config_dir
 from skatemount.evaluate import evaluate
 from skatemount.play import play
 from skatemount.record import record
+from skatemount.report import report
 from skatemount.runs.shipped import shipped_file
 from skatemount.train import train
 
@@ -27,6 +28,7 @@ VERBS: dict[str, Callable[..., Any]] = {
     "evaluate": evaluate,
     "record": record,
     "play": play,
+    "report": report,
     "bench": bench,
 }
 
@@ -73,6 +75,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "worlds": ("train +stage=balance physics.num_worlds=1000000000", "physics.num_worlds=1000000000 must be from 1"),
     "time": ("evaluate episodes=1000000 episode_length=3600", "episodes=1000000: episodes of episode_length=3600"),
     "film": ("record film.width=641", "film.width=641 must be an even number of pixels"),
+    "page": ("report page.films=11", "page.films=11 must be 0 (none) or from 1 to 10"),
+    "run of a page": ("report run=nowhere", "run=nowhere: not found"),
+    "sweep": ("report sweep=nowhere", "sweep=nowhere: must be the folder of a multirun"),
     "bench": ("bench +stage=balance bench.rounds=0", "bench.rounds=0 must be from 1"),
     "unknown key": ("train +stage=balance +nope=1", "nope"),
     "unknown group": ("train +stage=nope", "there is no stage nope"),

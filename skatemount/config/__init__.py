@@ -12,7 +12,14 @@ from skatemount.config.files import (
     using_config_dir,
 )
 from skatemount.config.messages import one_line
-from skatemount.config.programs import BenchProgramConfig, EvaluateConfig, PlayConfig, PolicyConfig, RecordConfig
+from skatemount.config.programs import (
+    BenchProgramConfig,
+    EvaluateConfig,
+    PlayConfig,
+    PolicyConfig,
+    RecordConfig,
+    ReportConfig,
+)
 from skatemount.config.schema import TrainConfig
 
 __all__ = [
@@ -22,6 +29,7 @@ __all__ = [
     "PlayConfig",
     "PolicyConfig",
     "RecordConfig",
+    "ReportConfig",
     "check_choice",
     "compose",
     "compose_program",

@@ -23,6 +23,7 @@ _WHOLE_FLOAT = re.compile(r"[+-]?\d[\d_]*(\.\d*)?[eE]\+?\d+|[+-]?\d[\d_]*\.0*")
 
 _TEXTS = frozenset(
     [
+        "against",
         "checkpoint",
         "host",
         "init_from",
@@ -34,6 +35,7 @@ _TEXTS = frozenset(
         "pipeline",
         "resume",
         "run",
+        "sweep",
     ]
 )
 """Settings whose values are paths and names, which are taken as they are typed, whatever Hydra's grammar says."""

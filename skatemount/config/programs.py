@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from skatemount.config.bench import BenchConfig
 from skatemount.config.film import FilmConfig
+from skatemount.config.report import PageConfig
 from skatemount.config.schema import MAX_SEED, TrainConfig, check_root
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.config.task import TaskConfig
@@ -167,11 +168,64 @@ class BenchProgramConfig(TrainConfig):
         return TrainConfig(**{field.name: getattr(self, field.name) for field in dataclasses.fields(TrainConfig)})
 
 
+@dataclass
+class ReportConfig(TaskConfig):
+    """Settings of `python -m skatemount.report`; ``conf/report.yaml`` has the defaults.
+
+    Settings of the task count only where the user gives them, as for `PolicyConfig`.
+
+    Attributes:
+        run: Run or policy to report: what ``checkpoint`` of `PolicyConfig` may be; null for the newest run.
+        against: Another one to compare it with; null compares its settings with the defaults of its stage.
+        runs: Several of them to compare, in place of ``run``.
+        sweep: Folder of a multirun whose runs are compared, in place of ``run``.
+        paper: Write the page of the paper, in place of that of a run; ``run`` may add a curve.
+        page: Content of the page.
+        output: File of the page; null for ``report.html`` in the run's folder, or here without a run.
+        seed: Seed of worlds and start states of the evaluations.
+        torch_threads: Torch's threads; 0 takes every core.
+        logger: Place of the runs.
+    """
+
+    run: str | None
+    against: str | None
+    runs: list[str]
+    sweep: str | None
+    paper: bool
+    page: PageConfig
+    output: str | None
+    seed: int = field(metadata=number(0, MAX_SEED))
+    torch_threads: int = field(metadata=number(1, 1024, zero="every core"))
+    logger: RunsConfig
+
+    def validate(self) -> None:
+        """Raise `ConfigError` for the first setting that cannot be used."""
+        super().validate()
+        check_root(self.logger.root, "logger")
+        self.page.validate("page")
+        given = {"runs": self.runs, "sweep": self.sweep, "paper": "true" if self.paper else None}
+        asked = [f"{name}={'[' + ','.join(v) + ']' if isinstance(v, list) else v}" for name, v in given.items() if v]
+        if len(asked) > 1:
+            raise ConfigError(f"{asked[0]} with {asked[1]}: a page is about one of them; leave out one")
+        if asked and self.against is not None:
+            raise ConfigError(f"against={self.against} with {asked[0]}: only run=<run> is compared with another one")
+        if self.run is not None and (self.runs or self.sweep is not None):
+            raise ConfigError(f"run={self.run} with {asked[0]}: a page is about one of them; leave out one")
+        if self.paper and self.page.suites is not None:
+            raise ConfigError(
+                f"page.suites=[{','.join(self.page.suites)}] with paper=true: that page shows results that exist; "
+                "leave page.suites out, or name files of results in page.results"
+            )
+        if len(self.runs) == 1:
+            raise ConfigError(f"runs=[{self.runs[0]}] must name at least two runs; run={self.runs[0]} reports one")
+
+
 PROGRAMS: dict[str, type[TaskConfig]] = {
     "train": TrainConfig,
     "evaluate": EvaluateConfig,
     "record": RecordConfig,
     "play": PlayConfig,
+    "report": ReportConfig,
     "bench": BenchProgramConfig,
 }
 """Schema of each program; its YAML file has the same name."""

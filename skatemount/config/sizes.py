@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import os
 
-from skatemount.config.programs import EvaluateConfig, RecordConfig
+from skatemount.config.programs import EvaluateConfig, RecordConfig, ReportConfig
 from skatemount.config.schema import TrainConfig
 from skatemount.envs.config.task import TaskConfig
 from skatemount.models.config import NetworkConfig
@@ -56,6 +56,8 @@ def check_sizes(config: TaskConfig, memory: int | None = None, cores: int | None
             _check_evaluation(f"logger.{name}", getattr(config.logger, name), config, cores)
     elif isinstance(config, EvaluateConfig):
         _check_evaluation("episodes", config.episodes, config, cores)
+    elif isinstance(config, ReportConfig):
+        _check_evaluation("page.episodes", config.page.episodes, config, cores)
     elif isinstance(config, RecordConfig):
         pictures = config.episode_length / config.physics.control_step
         if (pixels := pictures * config.film.width * config.film.height) > PIXELS:

@@ -1,0 +1,1 @@
+"""HTML pages about runs: everything that a page shows is inside it."""
