@@ -17,6 +17,7 @@ LAYERS = [
         "record",
         "play",
         "report",
+        "export",
         "bench",
         "listing",
         "replay_diverged",
@@ -29,13 +30,14 @@ LAYERS = [
     {"profiling"},
     {"reports"},
     {"training"},
-    {"rendering", "viewer"},
+    {"rendering", "viewer", "exporting"},
     {"evaluation"},
     {"agents"},
     {"config"},
     {"curriculum", "losses"},
     {"models", "runs", "envs"},
     {"utils"},
+    {"runner"},
 ]
 """Top-level modules and packages, from the top down; what shares a layer does not import each other."""
 

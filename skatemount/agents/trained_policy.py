@@ -62,6 +62,12 @@ class TrainedPolicy:
                 or a class of networks that are not imported and is not of a run inside ``root``.
         """
         path = find_checkpoint(spec, root, setting)
+        if path.suffix == ".onnx":
+            from skatemount.agents.onnx_policy import load_onnx  # it needs onnxruntime
+
+            actor, config, card = load_onnx(path, f"{setting}={spec}")
+            # An actor only: it can be evaluated and filmed, but nothing is trained from it.
+            return cls(actor, config, card, path)  # type: ignore[arg-type]
         modules, card = load_policy(path)
         where = f"{setting}={spec}: saved settings"
         config = configuration.from_dict(card.config, own=is_own_run(path, root), where=where)

@@ -17,6 +17,8 @@ from skatemount.utils.errors import ConfigError
 MAX_EPISODE = 2**40
 AGENTS = ("trained", "zero", "random")
 VIEWERS = ("auto", "page", "native")
+FORMATS = ("onnx", "torch")
+"""Formats of an export."""
 
 
 @dataclass
@@ -144,6 +146,28 @@ class PlayConfig(PolicyConfig):
 
 
 @dataclass
+class ExportConfig(PolicyConfig):
+    """Settings of `python -m skatemount.export`; ``conf/export.yaml`` has the defaults.
+
+    Attributes:
+        format: ``onnx`` for a folder that `python -m skatemount.runner` reads, ``torch`` for a program of
+            ``torch.export``.
+        episodes: Start states of each suite; 0 for none.
+    """
+
+    format: str
+    episodes: int = field(metadata=number(1, 100_000, zero="none"))
+
+    def validate(self) -> None:
+        """Raise `ConfigError` for the first setting that cannot be used."""
+        super().validate()
+        if self.format not in FORMATS:
+            raise ConfigError(f"format={self.format} must be {' or '.join(FORMATS)}")
+        if self.pipeline is not None:
+            raise ConfigError(f"pipeline={self.pipeline}: export one policy at a time, with checkpoint=")
+
+
+@dataclass
 class BenchProgramConfig(TrainConfig):
     """Settings of `python -m skatemount.bench`; ``conf/bench.yaml`` has the defaults.
 
@@ -226,6 +250,7 @@ PROGRAMS: dict[str, type[TaskConfig]] = {
     "record": RecordConfig,
     "play": PlayConfig,
     "report": ReportConfig,
+    "export": ExportConfig,
     "bench": BenchProgramConfig,
 }
 """Schema of each program; its YAML file has the same name."""

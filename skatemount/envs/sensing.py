@@ -79,6 +79,11 @@ class Sensing:
         """True if the sensed state differs from the true one."""
         return not self.config.senses_truth
 
+    @property
+    def noise_size(self) -> int:
+        """Number of errors that are drawn for a world in each control step."""
+        return len(self._each_step)
+
     def allocate(self, num_worlds: int) -> None:
         """Make the memory for a number of worlds whose episodes begin; an earlier one is dropped."""
         if not self.active:
@@ -162,12 +167,14 @@ class Sensing:
             self._memory[name][rows] = values
         return sensed
 
-    def sense(self, sim: SimState, episode: EpisodeState) -> SimState:
+    def sense(self, sim: SimState, episode: EpisodeState, drawn: Tensor | None = None) -> SimState:
         """Sense the states after a control step, once in each step.
 
         Args:
             sim: ``[N]`` states.
             episode: ``[N]`` episodes, with the contacts after the step.
+            drawn: ``[N, noise_size]`` from -1 to 1, the errors of this step as shares of their sizes; drawn here if
+                None.
 
         Returns:
             ``[N]`` sensed states; ``sim`` itself if they do not differ.
@@ -175,7 +182,7 @@ class Sensing:
         if not self.active:
             return sim
         memory, n = self._memory, sim.base_pos.shape[0]
-        noise = self._noise(n)
+        noise = self._noise(n) if drawn is None else self._each_step * drawn
         pose = self._measure(sim, memory, noise).unsqueeze(1)
         memory["measured"] = torch.cat((pose, memory["measured"][:, :-1]), 1)
         arrived = _pick(memory["measured"], memory["board_age"])

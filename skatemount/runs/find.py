@@ -45,7 +45,7 @@ def find_checkpoint(spec: str, root: Path | str = Path("runs"), setting: str = "
         return _of_run(run, spec, f"{setting}={spec}")
     for path in (Path(spec), root / spec):
         if path.is_file() and path.name not in POINTERS:
-            if path.suffix != ".safetensors":
+            if path.suffix != ".safetensors" and not (path.suffix == ".onnx" and setting == "checkpoint"):
                 raise ConfigError(
                     f"{setting}={spec}: a {path.suffix or 'nameless'} file; policies are "
                     ".safetensors files, pickle-based ones (.pt) are never loaded"

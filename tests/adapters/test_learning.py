@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import torch
 from rsl_rl.runners import OnPolicyRunner
+from rsl_rl_settings import runner_settings
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
-from test_rsl_rl import runner_settings
 
 import skatemount.adapters.gymnasium  # noqa: F401  # Registers the stages.
 from skatemount.adapters.auto_reset import AutoResetEnv

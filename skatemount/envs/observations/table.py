@@ -158,7 +158,7 @@ class ObservationTable:
         self,
         sim: SimState,
         episode: EpisodeState,
-        generator: torch.Generator | None = None,
+        generator: torch.Generator | Tensor | None = None,
         previous: Tensor | None = None,
     ) -> Tensor:
         """Compute the vector of every world.
@@ -166,7 +166,7 @@ class ObservationTable:
         Args:
             sim: The state.
             episode: The episodes.
-            generator: Source of the noise; no noise if None.
+            generator: Source of the noise, or ``[N, F]`` noise from -1 to 1 that is drawn already; no noise if None.
             previous: ``[N, size]``, the vector of the previous control step. None at the start of an episode, where the
                 first frame fills the whole history.
 
@@ -180,11 +180,12 @@ class ObservationTable:
             return frame[:, self._first]
         return torch.cat((previous, frame), 1)[:, self._next]
 
-    def _frame(self, sim: SimState, episode: EpisodeState, generator: torch.Generator | None) -> Tensor:
+    def _frame(self, sim: SimState, episode: EpisodeState, generator: torch.Generator | Tensor | None) -> Tensor:
         """Compute the present frame, ``[N, F]``: the terms with noise, then clip, then scale."""
         values = torch.cat([f(sim, episode, self._context) for f in self._functions], -1)
         if generator is not None and self._noisy:
-            values = torch.addcmul(values, coarse_noise(values.shape, generator), self._noise)
+            noise = generator if isinstance(generator, Tensor) else coarse_noise(values.shape, generator)
+            values = torch.addcmul(values, noise, self._noise)
         if self._clipped:
             values = values.clamp(-self._clip, self._clip)
         return values * self._scale

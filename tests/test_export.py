@@ -1,0 +1,78 @@
+"""`python -m skatemount.export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import exported
+import pytest
+import torch
+from composed import one_line
+
+from skatemount.config import compose_program
+from skatemount.export import export
+from skatemount.runner.folder import PolicyFolder
+from skatemount.utils.errors import ConfigError
+
+SHORT = ["episode_length=0.4", "physics.threads=1", "physics.num_worlds=4"]
+
+
+def run(*overrides: str) -> None:
+    given = [f"checkpoint={exported.policy_file()}", *overrides, *SHORT]
+    export(compose_program("export", given), given)
+
+
+def test_it_writes_a_folder_and_says_how_to_use_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # More start states than worlds: two rounds.
+    run(f"output={tmp_path / 'policy'}", "suite=mount-fixed", "episodes=6")
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0].startswith("tiny: test vectors are equal; largest differences: observation ")
+    assert printed[1].startswith("start states of mount-fixed: 6 each, ")
+    assert (
+        printed[2] == f"written to {tmp_path / 'policy'}; use it with python -m skatemount.runner {tmp_path / 'policy'}"
+    )
+    folder = PolicyFolder(tmp_path / "policy")
+    assert folder.card["policy"]["stage"] == "mount"
+    suite = folder.suites["mount-fixed"]
+    assert (suite["episodes"], suite["version"]) == (6, 1)
+    (variant,) = suite["variants"]
+    starts = folder.arrays(variant["starts"])
+    assert {len(values) for name, values in starts.items() if not name.startswith("push.")} == {6}
+    assert len({tuple(row) for row in starts["start"].tolist()}) == 6
+
+
+def test_without_start_states_it_is_for_a_robot_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run("episodes=0", "suite=mount-fixed")
+    assert PolicyFolder("exported/tiny").suites == {}
+
+
+@pytest.mark.slow
+def test_a_program_of_torch(tmp_path: Path) -> None:
+    run(f"output={tmp_path / 'policy'}", "format=torch", "suite=mount-fixed")
+    program = torch.export.load(tmp_path / "policy" / "policy.pt2").module()
+    size = exported.agent().networks.sizes[0]
+    action, targets = program(torch.zeros(3, size))
+    assert action.shape == targets.shape == (3, 12)
+    assert (tmp_path / "policy" / "card.json").is_file()
+
+
+def test_a_folder_with_other_files_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("")
+    with pytest.raises(ConfigError) as error:
+        run(f"output={tmp_path}", "suite=mount-fixed", "episodes=1")
+    assert one_line(error).startswith(f"output={tmp_path} has other files")
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("format=tensorflow", "format=tensorflow must be onnx or torch"),
+        ("pipeline=gait+anywhere", "pipeline=gait+anywhere: export one policy at a time, with checkpoint="),
+        ("episodes=-1", "episodes=-1 must be"),
+    ],
+)
+def test_settings_that_cannot_be_used(override: str, expected: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        compose_program("export", [override])
+    assert one_line(error).startswith(expected)
