@@ -8,11 +8,15 @@ import math
 from dataclasses import dataclass
 
 import torch
+from torch import Tensor
 
 from skatemount.config import TrainConfig
 from skatemount.config.files import load_file
+from skatemount.envs.config.task import TaskConfig
 from skatemount.envs.physics.base import StartState
 from skatemount.envs.starts import StartPoses
+from skatemount.evaluation.evaluator import EVALUATION_SEED, mix_seeds
+from skatemount.evaluation.suite_task import EvaluationTask
 
 NOISES = (
     "board_pos_bias",
@@ -110,3 +114,27 @@ class ChosenStart:
         """Set the board's speed in start states; a `skatemount.envs.starts.StartTransform`."""
         start.board_speed = torch.where(start.board_fixed, 0.0, self.board_speed)
         return start
+
+
+def same_worlds(one: TrainConfig, other: TrainConfig) -> bool:
+    """Return whether two settings make the same worlds, whatever they say of the training and its seed."""
+    names = [field.name for field in dataclasses.fields(TaskConfig)]
+    return all(getattr(one, name) == getattr(other, name) for name in names if name != "seed")
+
+
+def seed_of(task: EvaluationTask, variant: str) -> int:
+    """Return the seed of the worlds of a variant, the same as that of its evaluation."""
+    suite_seed = 0 if task.suite is None else task.suite.seed
+    return mix_seeds(EVALUATION_SEED + task.seed, suite_seed, list(task.configs).index(variant))
+
+
+def toward(axes: Tensor, speed: float, direction: float) -> Tensor:
+    """Return ``[N, 3]`` horizontal velocities at an angle to the first of some axes, m/s.
+
+    Args:
+        axes: ``[N, 3, 3]`` axes (columns).
+        speed: Size of the velocities, m/s.
+        direction: Angle to the left of the first axis about the vertical, degrees.
+    """
+    angle = torch.atan2(axes[:, 1, 0], axes[:, 0, 0]) + math.radians(direction)
+    return speed * torch.stack((angle.cos(), angle.sin(), torch.zeros_like(angle)), 1)

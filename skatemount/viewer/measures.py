@@ -5,10 +5,28 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from skatemount.evaluation.intervals import wilson_interval
+
+
+@dataclass
+class End:
+    """The end of an episode.
+
+    Attributes:
+        world: Its world.
+        seconds: Its duration, s.
+        words: Its outcome in words.
+        success: True if it succeeded.
+    """
+
+    world: int
+    seconds: float
+    words: str
+    success: bool
 
 
 class Tally:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING
@@ -22,13 +21,13 @@ from skatemount.config.messages import reason
 from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.starts import StartPoses
 from skatemount.envs.task import MountTask
-from skatemount.evaluation.evaluator import EVALUATION_SEED, deterministic, mix_seeds
+from skatemount.evaluation.evaluator import deterministic
 from skatemount.evaluation.results import in_words
 from skatemount.evaluation.suite_task import EvaluationTask, load_suite
 from skatemount.utils.errors import ConfigError
 from skatemount.viewer.actors import SIMPLE
-from skatemount.viewer.conditions import ChosenStart, Conditions
-from skatemount.viewer.measures import RewardHistory, Tally
+from skatemount.viewer.conditions import ChosenStart, Conditions, same_worlds, seed_of, toward
+from skatemount.viewer.measures import End, RewardHistory, Tally
 
 if TYPE_CHECKING:
     from skatemount.envs.mdp import StepResult
@@ -39,23 +38,6 @@ HOLD = 1.0
 
 FEW_WORLDS = 16
 """Number of worlds up to which one physics thread is enough."""
-
-
-@dataclass
-class End:
-    """The end of an episode.
-
-    Attributes:
-        world: Its world.
-        seconds: Its duration, s.
-        words: Its outcome in words.
-        success: True if it succeeded.
-    """
-
-    world: int
-    seconds: float
-    words: str
-    success: bool
 
 
 class Session:
@@ -120,8 +102,6 @@ class Session:
         self.env: MountEnv
         self._build()
 
-    # What other threads may call.
-
     def submit(self, action: Callable[[], None], key: str | None = None) -> None:
         """Let an action run between two control steps.
 
@@ -131,8 +111,6 @@ class Session:
         """
         with self._lock:
             self._actions[key or object()] = action
-
-    # The loop.
 
     def work(self) -> bool:
         """Run the actions that were submitted, and return whether there were any."""
@@ -150,8 +128,6 @@ class Session:
     def close(self) -> None:
         """Close the worlds."""
         self.env.close()
-
-    # What a user can do.
 
     def pause(self) -> None:
         """Stop the time."""
@@ -265,18 +241,14 @@ class Session:
             everyone: True for every world, else for the selected one.
         """
         sim, env = self.env.sim, self.env
-        axis = (sim.board_rot if board else sim.base_rot)[:, :2, 0]
-        angle = torch.atan2(axis[:, 1], axis[:, 0]) + np.deg2rad(direction)
-        velocity = speed * torch.stack((angle.cos(), angle.sin(), torch.zeros_like(angle)), 1)
+        velocity = toward(sim.board_rot if board else sim.base_rot, speed, direction)
         mask = torch.full((env.num_worlds,), everyone, device=env.device)
         mask[self.selected] = True
         if board:
             mask = mask & ~sim.board_fixed
             if not mask.any():
                 raise ConfigError("the board is fixed to the world and cannot be pushed")
-        env.physics.push(mask, velocity.float(), board)
-
-    # Inside.
+        env.physics.push(mask, velocity, board)
 
     @property
     def config_name(self) -> str:
@@ -299,7 +271,7 @@ class Session:
         """Play another task; the present one stays if that fails."""
         before, builds = (self.task, self.agent, self.variant), self.builds
         variant = self.variant if self.variant in task.configs else next(iter(task.configs))
-        same = _without_seed(task, variant) == _without_seed(self.task, self.variant)
+        same = same_worlds(task.configs[variant], self.task.configs[self.variant])
         self.task, self.agent, self.variant = task, agent, variant
         try:
             if same:
@@ -319,8 +291,7 @@ class Session:
         config = self.conditions.applied(task.configs[self.variant])
         if not config.physics.threads and self.worlds <= FEW_WORLDS:
             threads = 1
-        suite_seed = 0 if task.suite is None else task.suite.seed
-        seed = mix_seeds(EVALUATION_SEED + task.seed, suite_seed, list(task.configs).index(self.variant))
+        seed = seed_of(task, self.variant)
         env = MountEnv(MountTask(config=config), num_worlds=self.worlds, threads=threads, seed=seed)
         try:
             check_interface(task.agent.card, env.task, task.agent.settings[0])
@@ -355,8 +326,7 @@ class Session:
         env.set_start_transform(start.rolling)
 
     def _apply_command(self, env: MountEnv) -> None:
-        fixed = None if self.command is None else torch.tensor(self.command, device=env.device)
-        env.mdp.commands.fixed = fixed
+        env.mdp.commands.fixed = None if self.command is None else torch.tensor(self.command, device=env.device)
 
     def _forget(self) -> None:
         """Forget the episodes so far."""
@@ -427,10 +397,3 @@ class Session:
             self.paused = True
             lines: Sequence[str] = traceback.format_exception(error)
             self.error = f"{reason(error)}\n\n{''.join(lines)}"
-
-
-def _without_seed(task: EvaluationTask, variant: str) -> dict[str, object]:
-    """Return the settings of a variant that make its worlds."""
-    values = vars(task.configs[variant]).copy()
-    of_training = ("seed", "stage", "algorithm", "curriculum", "collector", "logger", "network", "total_frames")
-    return {name: value for name, value in values.items() if name not in of_training}

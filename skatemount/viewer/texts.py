@@ -6,8 +6,9 @@ import html
 import math
 from collections.abc import Iterable
 
+from skatemount.viewer.measures import End
 from skatemount.viewer.poses import Foot, sensed_board
-from skatemount.viewer.session import End, Session
+from skatemount.viewer.session import Session
 
 _BOX = "font-size:12px;line-height:1.45;padding:0 12px 12px"
 _RED = "color:#c0392b"

@@ -7,8 +7,9 @@ import pytest
 
 from skatemount.viewer import texts
 from skatemount.viewer.conditions import Conditions
+from skatemount.viewer.measures import End
 from skatemount.viewer.poses import PoseReader, feet, grid, sensed_board
-from skatemount.viewer.session import End, Session
+from skatemount.viewer.session import Session
 
 
 @pytest.fixture(scope="module")
