@@ -57,7 +57,6 @@ def mistakes(tmp_path: Path) -> dict[str, tuple[Path, str]]:
     plain = standing(tmp_path / "plain.onnx", 137)
     add_card(plain, tmp_path / "size.onnx", settings, "other")
     (tmp_path / "text.onnx").write_text("nothing")
-    other = standing(tmp_path / "output.onnx", 137, "torque")
     return {
         "no card": (plain, "its metadata has no card with settings"),
         "size": (tmp_path / "size.onnx", "reads observations of shape [137], the settings of its card give"),
