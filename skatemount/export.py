@@ -37,6 +37,13 @@ def export(config: ExportConfig, overrides: list[str]) -> None:
     agent = tasks[0].agent
     if agent.path.suffix == ".onnx":
         raise ConfigError(f"checkpoint={config.checkpoint}: is exported already; give the policy that it was made from")
+    left_out = [task for task in tasks if any(each.boards.vary for each in task.configs.values())]
+    if len(left_out) == len(tasks):
+        which = f"suite={left_out[0].name}" if config.suite else "boards"
+        raise ConfigError(f"{which}: boards vary from world to world, and an export is for one; give boards=one")
+    tasks = [task for task in tasks if task not in left_out]
+    for task in left_out:
+        print(f"{task.name}: left out, because its boards vary and an export is for one")
     output = Path(config.output) if config.output else Path("exported") / agent.name.replace("/", "_")
     folder.check_output(output)
     if config.format == "torch":

@@ -153,10 +153,12 @@ class ExportConfig(PolicyConfig):
         format: ``onnx`` for a folder that `python -m skatemount.runner` reads, ``torch`` for a program of
             ``torch.export``.
         episodes: Start states of each suite; 0 for none.
+        output: Folder; null for ``exported/<name of the policy>``.
     """
 
     format: str
     episodes: int = field(metadata=number(1, 100_000, zero="none"))
+    output: str | None
 
     def validate(self) -> None:
         """Raise `ConfigError` for the first setting that cannot be used."""

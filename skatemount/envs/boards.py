@@ -209,14 +209,17 @@ class Boards:
         return list({id(board): board for board in self.of_world}.values())
 
 
-def boards_of(config: BoardsConfig, board: SkateboardConfig) -> list[SkateboardConfig]:
-    """Return the boards of a task that has one or a number of them; the settings' board if every world has its own.
+def boards_of(config: BoardsConfig, board: SkateboardConfig, seed: int | None = None) -> list[SkateboardConfig]:
+    """Return the boards of a task that has one or a number of them.
 
     Args:
         config: Ranges, or fixed boards.
         board: Settings of the board, for all that is not drawn.
+        seed: Where every world has its own board: draw one from this seed. If None, it is the settings' board.
     """
-    return Boards.draw(config, board, config.number, 0).different if config.number else [board]
+    if not config.number and (seed is None or not config.vary):
+        return [board]
+    return Boards.draw(config, board, config.number or 1, seed or 0).different
 
 
 def _draw(config: BoardsConfig, board: SkateboardConfig, random: np.random.Generator) -> SkateboardConfig:

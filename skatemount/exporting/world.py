@@ -106,7 +106,7 @@ class World:
         # Neither rewards nor observations are part of this graph, and the command comes from `Observe`.
         nothing: Any = _Nothing()
         mdp.sensing, mdp.rewards, mdp.privileged = self.tap, nothing, nothing  # type: ignore[assignment]
-        mdp.observation, mdp._command_generator = nothing, nothing
+        mdp.observation, mdp.commands = nothing, nothing
 
     def inputs(self, sensors: int, memory: Values) -> Values:
         """Return example inputs.

@@ -17,6 +17,7 @@ from PIL import Image
 from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import ReportConfig
 from skatemount.config.report import OWN
+from skatemount.envs.boards import boards_of
 from skatemount.envs.config.task import TaskConfig
 from skatemount.evaluation.results import Evaluation
 from skatemount.evaluation.success_map import plot_success_map
@@ -275,5 +276,6 @@ def _jpeg(picture: Image.Image) -> bytes:
 def _map(task: EvaluationTask, evaluation: Evaluation) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "map.png"
-        plot_success_map(evaluation, [each.board for each in task.configs.values()], path)
+        boards = [board for config in task.configs.values() for board in boards_of(config.boards, config.board)]
+        plot_success_map(evaluation, boards, path)
         return path.read_bytes()

@@ -12,6 +12,8 @@ from torch import Tensor
 
 from skatemount.config import TrainConfig
 from skatemount.config.files import load_file
+from skatemount.envs.boards import boards_of
+from skatemount.envs.config.boards import RANGES
 from skatemount.envs.config.task import TaskConfig
 from skatemount.envs.physics.base import StartState
 from skatemount.envs.starts import StartPoses
@@ -47,9 +49,19 @@ class Conditions:
     noise: float | None = None
     friction: float | None = None
 
-    def applied(self, config: TrainConfig) -> TrainConfig:
-        """Return a copy of the task's settings with these conditions."""
+    def applied(self, config: TrainConfig, seed: int) -> TrainConfig:
+        """Return a copy of the task's settings with these conditions, and with one board if boards vary.
+
+        Args:
+            config: Settings of the task.
+            seed: Seed of the worlds, which chooses the board.
+        """
         config = copy.deepcopy(config)
+        if config.boards.vary:
+            # The worlds of a page are drawn with the same model.
+            boards = boards_of(config.boards, config.board, seed)
+            config.board = boards[seed % len(boards)]
+            config.boards = dataclasses.replace(config.boards, **dict.fromkeys(RANGES), count=0, fixed=[])
         sensing = config.sensing
         if self.target_delay is not None:
             sensing.target_delay = [self.target_delay] * 2

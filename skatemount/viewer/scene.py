@@ -61,7 +61,8 @@ class SceneView:
         scene = self._scene = ViserMujocoScene(self._server, self._reader.model, session.worlds)
         scene.camera_tracking_enabled = False
         # The scene puts its fixed bodies back to the origin at each update; they are moved with the camera instead.
-        self._fixed, scene.fixed_bodies_frame = scene.fixed_bodies_frame, SimpleNamespace()
+        stand_in: Any = SimpleNamespace()
+        self._fixed, scene.fixed_bodies_frame = scene.fixed_bodies_frame, stand_in
         self._root = int(self._reader.model.body_rootid[session.env.physics.index.trunk_body])
         empty = np.zeros((0, 2, 3), np.float32)
         self._arrows = self._server.scene.add_arrows(

@@ -288,10 +288,10 @@ class Session:
     def _build(self) -> None:
         """Build the worlds; the present ones stay if that fails."""
         task, threads = self.task, None
-        config = self.conditions.applied(task.configs[self.variant])
+        seed = seed_of(task, self.variant)
+        config = self.conditions.applied(task.configs[self.variant], seed)
         if not config.physics.threads and self.worlds <= FEW_WORLDS:
             threads = 1
-        seed = seed_of(task, self.variant)
         env = MountEnv(MountTask(config=config), num_worlds=self.worlds, threads=threads, seed=seed)
         try:
             check_interface(task.agent.card, env.task, task.agent.settings[0])
