@@ -15,6 +15,7 @@ from PIL import Image
 
 from skatemount.agents.trained_policy import MODULE, make_policy_card
 from skatemount.config import compose, compose_program
+from skatemount.config.files import choices
 from skatemount.config.overrides import prepare
 from skatemount.envs.task import MountTask
 from skatemount.envs.tasks import TASKS
@@ -180,10 +181,10 @@ def test_a_mistake_is_one_line(policy: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "skatemount.evaluate", f"checkpoint={policy}", "suite=walk"]
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
     assert result.returncode == 2
+    there_are = ", ".join(sorted(choices("suite")))
     assert result.stderr == (
-        "skatemount.evaluate: suite=walk: there is no suite walk; there are: all, approach-fixed, approach-unfixed, "
-        "balance-fixed, drawn-boards, far, gait, hold, low-friction, mount-fixed, mount-unfixed, other-boards, "
-        "outside-boards, pushed, rolling; a suite of your own needs --config-dir <folder>\n"
+        f"skatemount.evaluate: suite=walk: there is no suite walk; there are: {there_are}; "
+        "a suite of your own needs --config-dir <folder>\n"
     )
     assert result.stdout == ""
 

@@ -68,7 +68,7 @@ def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:
         (["resume=runs/none"], "runs/none"),
         (
             ["+stage=mount", "checkpoint=latest"],
-            "of evaluate and record; a training starts from init_from=<policy>",
+            "of evaluate, record, play and export; a training starts from init_from=<policy>",
         ),
         (["+stage=mount", "suite=far"], "suite=far: not a setting of train, but of evaluate and record"),
         (["-m", "+stage=balance,mouunt"], "there is no stage mouunt"),

@@ -98,7 +98,8 @@ def unknown(program: str, key: str, written: str) -> str:
     others = others or [name for name, schema in PROGRAMS.items() if name != program and top in keys(schema)]
     if others and top not in keys(PROGRAMS[program]):
         hint = INSTEAD.get((program, key))
-        text = f"{written}: not a setting of {program}, but of {' and '.join(others)}"
+        owners = " and ".join([*filter(None, [", ".join(others[:-1])]), others[-1]])
+        text = f"{written}: not a setting of {program}, but of {owners}"
         return f"{text}; {hint}" if hint else text
     close = suggestions(PROGRAMS[program], key)
     hint = f"; did you mean {' or '.join(close)}?" if close else f"; python -m skatemount.{program} --cfg job lists all"
