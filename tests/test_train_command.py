@@ -70,7 +70,7 @@ def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:
             ["+stage=mount", "checkpoint=latest"],
             "of evaluate, record, play and export; a training starts from init_from=<policy>",
         ),
-        (["+stage=mount", "suite=far"], "suite=far: not a setting of train, but of evaluate and record"),
+        (["+stage=mount", "suite=far"], "suite=far: not a setting of train, but of evaluate, record, play and export"),
         (["-m", "+stage=balance,mouunt"], "there is no stage mouunt"),
     ],
 )

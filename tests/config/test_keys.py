@@ -62,7 +62,7 @@ def test_whole_numbers_of_a_file_may_have_an_exponent(tmp_path: Path, monkeypatc
         ("learning_rate=1", "did you mean algorithm.learning_rate?"),
         ("episodes=5", "episodes=5: not a setting of train, but of evaluate"),
         ("bench.rounds=5", "bench.rounds=5: not a setting of train, but of bench"),
-        ("suite=far", "suite=far: not a setting of train, but of evaluate and record"),
+        ("suite=far", "suite=far: not a setting of train, but of evaluate, record, play and export"),
         ("~seed", "seed is missing: give seed=<value>"),
     ],
 )

@@ -111,7 +111,9 @@ def test_settings_out_of_range(override: str, expected: str) -> None:
 
 
 def test_settings_of_other_programs_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"checkpoint=latest: not a setting of bench, but of evaluate and record"):
+    with pytest.raises(
+        ConfigError, match=r"checkpoint=latest: not a setting of bench, but of evaluate, record, play and export"
+    ):
         compose_program("bench", ["stage=balance", "checkpoint=latest"])
     config = compose_program("bench", ["stage=balance", "bench=quick", "init_from=null", "json=a.json", "output=b"])
     assert isinstance(config, BenchProgramConfig) and (config.json, config.bench.rounds) == ("a.json", 1)
