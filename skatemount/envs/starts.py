@@ -33,7 +33,7 @@ _LEVEL = [0.0, 0.0]
 _ROUNDS = 40
 """Number of batches of candidates to draw before giving up."""
 _SLACK = 0.02
-"""How much farther from the deck's edge feet are put than they must be, because random joint angles move them, m."""
+"""Additional distance of feet from the deck's edge, m. The random joint angles that follow move the feet."""
 _LEAST = 256
 """Number of candidates below which a batch costs as much as one of this size."""
 

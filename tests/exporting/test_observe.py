@@ -1,4 +1,4 @@
-"""What cannot become a graph is refused; tests/runner/test_simulation.py compares the graphs with the environment."""
+"""The exporter refuses operations that have no graph; tests/runner/test_simulation.py compares the graphs."""
 
 from __future__ import annotations
 
