@@ -106,6 +106,6 @@ def add_card(model: Path, output: Path, settings: dict[str, Any], name: str) -> 
     import onnx
 
     made = onnx.load(str(model))
-    made.ClearField("metadata_props")
-    made.metadata_props.add(key="card", value=json.dumps({"policy": {"name": name}, "settings": settings}))
+    kept = {entry.key: entry.value for entry in made.metadata_props}
+    onnx.helper.set_model_props(made, kept | {"card": json.dumps({"policy": {"name": name}, "settings": settings})})
     onnx.save(made, str(output))

@@ -81,3 +81,14 @@ def test_nothing_is_trained_from_one(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as error:
         TrainedPolicy.load(str(path), setting="init_from")
     assert "a .onnx file" in one_line(error)
+
+
+def test_a_card_leaves_other_metadata_in_place(tmp_path: Path) -> None:
+    theirs = standing(tmp_path / "theirs.onnx", 137)
+    model = onnx.load(str(theirs))
+    model.metadata_props.add(key="author", value="somebody")
+    onnx.save(model, str(theirs))
+    for name in ("first", "second"):
+        add_card(theirs, tmp_path / "with_card.onnx", {}, name)
+    found = {each.key: each.value for each in onnx.load(str(tmp_path / "with_card.onnx")).metadata_props}
+    assert found["author"] == "somebody" and '"second"' in found["card"]
