@@ -142,12 +142,12 @@ def _words(entry: dict[str, Any] | None) -> str:
     return f"{entry.get('key')}.{entry.get('name')} ({', '.join(extras)})"
 
 
-def feature_indices(given: ObservationLayout, card: PolicyCard, key: str, where: str, giver: str) -> Tensor:
+def feature_indices(given: ObservationLayout, needed: ObservationLayout, key: str, where: str, giver: str) -> Tensor:
     """Return the indices of a policy's inputs in a vector with the same or more terms.
 
     Args:
         given: Layout of the vector.
-        card: The policy's card.
+        needed: Layout of what the policy reads.
         key: ``observation`` or ``privileged``.
         where: Name of the policy in messages.
         giver: Name in messages of what the vector belongs to.
@@ -164,15 +164,15 @@ def feature_indices(given: ObservationLayout, card: PolicyCard, key: str, where:
             end += entry["size"]
             shown[entry["name"]], ends[entry["name"]] = entry, end
     indices = []
-    for needed in card.observation:
-        if needed["key"] != key:
+    for entry in needed:
+        if entry["key"] != key:
             continue
-        name = needed["name"]
+        name = entry["name"]
         found = shown.get(name)
-        if found is None or _without_frames(found) != _without_frames(needed) or found["size"] < needed["size"]:
-            raise ConfigError(f"{where}: it reads {_words(needed)}, {giver} gives {_words(found)}")
+        if found is None or _without_frames(found) != _without_frames(entry) or found["size"] < entry["size"]:
+            raise ConfigError(f"{where}: it reads {_words(entry)}, {giver} gives {_words(found)}")
         # The newest of several frames is the last.
-        indices.append(torch.arange(ends[name] - needed["size"], ends[name]))
+        indices.append(torch.arange(ends[name] - entry["size"], ends[name]))
     return torch.cat(indices)
 
 

@@ -128,5 +128,5 @@ class SwitchingAgent(TrainedPolicy):
                 "scale, clip or control step); policies that take turns need the same"
             )
         where = f"pipeline={spec}: the first policy may read only what the second one reads; {names[0]}"
-        indices = feature_indices(mounter.card.observation, walker.card, "observation", where, names[1])
+        indices = feature_indices(mounter.card.observation, walker.card.observation, "observation", where, names[1])
         return cls(**vars(mounter), walker=walker, walker_indices=indices, switch_distance=switch_distance)

@@ -78,7 +78,7 @@ def _gives_all_inputs(agent: TrainedPolicy, task: MountTask, where: str) -> bool
     try:
         check_actions(agent.card, task, where)
         for key in ("observation", "privileged"):
-            feature_indices(observation_layout(task), agent.card, key, where, "this run")
+            feature_indices(observation_layout(task), agent.card.observation, key, where, "this run")
     except ConfigError:
         return False
     return True
@@ -115,7 +115,7 @@ def expand(networks: ActorCritic, agent: TrainedPolicy, layout: ObservationLayou
     for name in ("actor", "critic"):
         _check_fits(name, networks.config, old.config, where)
     observation, privileged = (
-        feature_indices(layout, agent.card, key, where, "this run") for key in ("observation", "privileged")
+        feature_indices(layout, agent.card.observation, key, where, "this run") for key in ("observation", "privileged")
     )
     size = sum(entry["size"] for entry in layout if entry["key"] == "observation")
     inputs = (observation, torch.cat((observation, privileged + size)))

@@ -13,7 +13,7 @@ from skatemount.envs.config.boards import RANGES
 from skatemount.runs.shipped import ALIASES
 from skatemount.utils.errors import ConfigError
 
-FORMAT = 6
+FORMAT = 7
 
 RENAMED: dict[str, str] = {
     "algorithm.clip": "algorithm.clip_epsilon",
@@ -58,6 +58,9 @@ ADDED: dict[str, Any] = {
 ADDED_LATER: dict[str, Any] = {
     "algorithm.kind": "ppo",
     "algorithm.params": {},
+    "algorithm.teacher": None,
+    "algorithm.teacher_coeff": 1.0,
+    "algorithm.teacher_frames": 10_000_000,
     "board.rolling_resistance": 0.0,
     "boards": {
         **dict.fromkeys(RANGES),
@@ -93,7 +96,7 @@ ADDED_LATER: dict[str, Any] = {
     "start.move_with_board": False,
     "start.truck_angle": None,
 }
-"""The same for files of formats 1 to 5."""
+"""The same for files of formats 1 to 6."""
 
 
 RENAMED_VALUES: dict[str, dict[str, str]] = {"robot.variant": {"unitree": "a1", "isaac": "a1_isaac"}}
@@ -123,7 +126,7 @@ def upgrade(values: dict[str, Any]) -> dict[str, Any]:
         _add(values, ADDED)
     if saved < 4:
         _rename_values(values)
-    if saved < 6:
+    if saved < FORMAT:
         _add(values, ADDED_LATER)
     return values
 

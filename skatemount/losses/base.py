@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -43,7 +44,13 @@ class Algorithm(abc.ABC):
         control_step: Time between two actions, s.
         bf16: Compute the matrix products of updates in bfloat16.
         generator: Source of randomness, whose state is saved with the training.
+
+    Attributes:
+        teacher: Returns the mean actions of a policy to imitate, ``[N, T, J]``, for a batch; see
+            `skatemount.agents.teacher.Teacher`. The training sets it if ``algorithm.teacher`` names one.
     """
+
+    teacher: Callable[[TensorDictBase], Tensor] | None = None
 
     def __init__(
         self,

@@ -47,6 +47,10 @@ class AlgorithmConfig:
         final_target_kl: Final ``target_kl``; it falls exponentially at the end of a training. null keeps ``target_kl``.
             Small updates at the end converge where large ones keep moving the policy.
         kl_anneal_fraction: Share of all frames, at the end, over which ``target_kl`` falls.
+        teacher: Policy that the actor imitates in addition to what it learns from rewards; what ``checkpoint`` takes.
+            null for none. It reads ``privileged``, so it can know what the actor does not see.
+        teacher_coeff: Initial weight of the imitation, see `skatemount.losses.imitation`.
+        teacher_frames: Number of frames over which the weight falls linearly to 0.
         compile: Compile the networks for the updates with torch. Updates are faster, but the first one takes a minute,
             and a C++ compiler must be installed.
     """
@@ -70,6 +74,9 @@ class AlgorithmConfig:
     std_frames: int = field(metadata=number(1, 10**12))
     final_target_kl: float | None = field(metadata=number(0, 10, above=True))
     kl_anneal_fraction: float = field(metadata=number(0, 1, above=True))
+    teacher: str | None
+    teacher_coeff: float = field(metadata=number(0, 1000))
+    teacher_frames: int = field(metadata=number(1, 10**12))
     compile: bool
 
     def validate(self, where: str = "algorithm") -> None:

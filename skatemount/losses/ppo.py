@@ -18,6 +18,7 @@ from torchrl.objectives.value import GAE
 from skatemount.losses.base import Algorithm, NotFinite
 from skatemount.losses.concurrent import ConcurrentCritic
 from skatemount.losses.config import AlgorithmConfig
+from skatemount.losses.imitation import TEACHER_ACTION, imitation_loss
 from skatemount.models.base import Networks
 from skatemount.utils.devices import torch_threads
 from skatemount.utils.errors import ConfigError
@@ -70,6 +71,7 @@ class PPO(Algorithm):
         super().__init__(config, networks, control_step)
         self._bf16 = bf16
         self._generator = generator
+        self._teacher_coeff = config.teacher_coeff
         self._actor, self._critic = networks.learners()
         actor, critic = networks.learners(config.compile)
         self._concurrent: ConcurrentCritic | None = None
@@ -146,6 +148,7 @@ class PPO(Algorithm):
             total_frames: Number of frames of the whole training.
         """
         c = self.config
+        self._teacher_coeff = c.teacher_coeff * max(0.0, 1 - frames / c.teacher_frames)
         if c.final_std is not None:
             first = self.networks.config.max_std
             self.networks.limit_std(_anneal(first, c.final_std, frames / c.std_frames))
@@ -233,6 +236,8 @@ class PPO(Algorithm):
         with torch_threads(1):
             batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         rows = inputs.update(batch.select(*self.loss_keys))
+        if self.teacher is not None and self._teacher_coeff > 0:
+            rows[TEACHER_ACTION] = self.teacher(batch)
         return rows if self.networks.recurrent else rows.flatten(0, 1)
 
     @property
@@ -262,7 +267,8 @@ class PPO(Algorithm):
         Args:
             means: Means of the loss's outputs over the minibatches, by name.
         """
-        return {"Loss/clip_fraction": means["clip_fraction"]}
+        taught = {"Loss/teacher": means["loss_teacher"]} if "loss_teacher" in means else {}
+        return {"Loss/clip_fraction": means["clip_fraction"], **taught}
 
     def _check_finite(self, batch: TensorDictBase) -> None:
         """Raise `NotFinite` for values that are not finite, which would stay in the normalizers forever.
@@ -295,6 +301,9 @@ class PPO(Algorithm):
                 self._concurrent.start(part)
             with self._computing():
                 losses = self.loss(part)
+                if TEACHER_ACTION in part.keys():
+                    moments = _moments(self._actor.get_dist(part.select(*self._actor.in_keys)))
+                    losses["loss_teacher"] = self._teacher_coeff * imitation_loss(*moments, part[TEACHER_ACTION])
         except BackendCompilerFailed as error:
             raise ConfigError(
                 f"algorithm.compile=true: torch cannot compile here ({str(error).splitlines()[0]}); install a C++ "

@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 
+from skatemount.agents.teacher import Teacher
 from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.agents.transfer import load_pretrained
 from skatemount.config import TrainConfig
@@ -63,3 +64,18 @@ def load_initial_policy(
     card = agent.card
     parent = {"init_from": spec, "policy": agent.spec, "frames": card.frames, "sha256": card.sha256}
     return spec if spec == agent.spec else f"{spec} ({agent.spec})", parent
+
+
+def load_teacher(config: TrainConfig, task: MountTask) -> Teacher | None:
+    """Load the policy that a training imitates; None without ``algorithm.teacher``.
+
+    ``algorithm.teacher`` of the settings becomes the name that loads the same policy again.
+
+    Raises:
+        ConfigError: There is no such policy, or the task lacks what it reads.
+    """
+    if (spec := config.algorithm.teacher) is None:
+        return None
+    agent = TrainedPolicy.load(spec, config.logger.root, "algorithm.teacher")
+    config.algorithm.teacher = agent.spec
+    return Teacher(agent, task, f"algorithm.teacher={spec}")

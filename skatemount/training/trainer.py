@@ -32,7 +32,7 @@ from skatemount.training.commands import naming_what_is_left, what_is_left
 from skatemount.training.guard import UpdateGuard, naming_terms
 from skatemount.training.memory import RestoredMemory, memory_after
 from skatemount.training.progress import Progress
-from skatemount.training.setup import load_initial_policy, make_networks, set_up_process
+from skatemount.training.setup import load_initial_policy, load_teacher, make_networks, set_up_process
 from skatemount.training.state import (
     Attributes,
     CallbackStates,
@@ -114,6 +114,7 @@ class Trainer:
             bf16=config.precision == "bf16",
             generator=self._minibatch_generator,
         )
+        self.algorithm.teacher = load_teacher(config, self.task)
         self.curriculum = make_curriculum(config.curriculum, self.task.scene.deck_height, device)
         if self.curriculum is not None:
             self.env.listeners.append(self.curriculum.observe_step)

@@ -131,10 +131,17 @@ def test_what_was_saved_before_there_was_sensing_sees_the_truth() -> None:
     assert from_dict(to_dict(compose("balance", ["sensing=hard"]))).sensing.board_seen == 0.7
 
 
-@pytest.mark.parametrize("found", range(2, FORMAT))
+@pytest.mark.parametrize("found", range(2, 6))
 def test_what_was_saved_before_boards_varied_has_one_board_and_nominal_motors(found: int) -> None:
     values = to_dict(compose("unfixed", ["sensing=default"]))
     del values["boards"], values["randomization"]["torque_limit"]
     config = from_dict(values | {"format": found})
     assert not config.boards.vary and config.randomization.torque_limit == [1.0, 1.0]
     assert config.sensing == compose("unfixed", ["sensing=default"]).sensing
+
+
+def test_what_was_saved_before_there_were_teachers_had_none() -> None:
+    values = to_dict(compose("robust"))
+    for name in ("teacher", "teacher_coeff", "teacher_frames"):
+        del values["algorithm"][name]
+    assert from_dict(values | {"format": 6}) == compose("robust")
