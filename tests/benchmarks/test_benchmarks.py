@@ -80,3 +80,19 @@ def test_solver_settings_tradeoff(repo_root: Path, tmp_path: Path) -> None:
     assert "| 3 steps of 13.3 ms |" in done.stdout
     refused = run(script, "checkpoint=pretrained:unfixed", "--suite", "other-boards", *options)
     assert refused.returncode == 2 and "give one of a single task" in refused.stderr
+
+
+@pytest.mark.nightly
+def test_robust_parts(repo_root: Path, tmp_path: Path) -> None:
+    tiny = ["physics.num_worlds=8", "collector.steps_per_env=4", "algorithm.minibatches=1", "torch_threads=1"]
+    options = ["--frames", "64", "--episodes", "4", "--out", str(tmp_path), "--parts", "all parts", "one frame"]
+    options += ["--suites", "delay"]
+    script = repo_root / "benchmarks" / "robust_parts.py"
+    first, again = (run(script, *options, "--", *tiny) for _ in range(2))
+    assert first.returncode == again.returncode == 0, first.stderr + again.stderr
+    assert "steps/s" in first.stdout and "steps/s" not in again.stdout, "finished trainings are not repeated"
+    document = json.loads((tmp_path / "results.json").read_text())
+    assert [found["delay"]["episodes"] for found in document["parts"].values()] == [4, 4]
+    assert (tmp_path / "table.md").read_text().count("\n| ") == 3 and (tmp_path / "parts.png").stat().st_size > 10_000
+    other = run(script, *options, "--", *tiny, "seed=1")
+    assert other.returncode and "name another folder with --out" in other.stderr
