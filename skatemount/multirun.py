@@ -59,6 +59,8 @@ def run(verb: Callable[..., float | None], program: str, settings: Sequence[str]
     Raises:
         ConfigError: A setting that cannot be used in any job.
     """
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1 and "RANK" in os.environ:
+        raise ConfigError("-m cannot be started by torchrun with several ranks; start one training at a time")
     for each in settings:
         if key_of(each) in _OURS:
             raise ConfigError(f"{each}: the folder of a multirun is chosen by logger.root and logger.experiment")

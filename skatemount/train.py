@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import TYPE_CHECKING
 
@@ -14,8 +15,11 @@ if TYPE_CHECKING:
     from skatemount.training.trainer import Trainer
 
 
-def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> Score:
+def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> Score | None:
     """Train a stage, or a chain of stages, and print the evaluated success of the final policy.
+
+    If ``torchrun`` started this process as one of several, they train together; see
+    `skatemount.training.distributed`.
 
     Args:
         config: Every setting; with ``resume``, those that the run has saved count instead.
@@ -24,18 +28,32 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
 
     Returns:
         The success rate of the final evaluation, or else of the last one during the training; see
-        `skatemount.training.score.score_of`.
+        `skatemount.training.score.score_of`. None on ranks other than 0.
 
     Raises:
         ConfigError: No stage, or a setting that cannot be used.
     """
-    if sys.stderr.isatty():
+    if sys.stderr.isatty() and os.environ.get("RANK", "0") == "0":
         # The imports take seconds.
         print("loading ...", file=sys.stderr, flush=True)
 
+    from skatemount.training.distributed import JoinedRanks, joined
+
+    with joined(config) as ranks:
+        if isinstance(ranks, JoinedRanks) and not ranks.first:
+            from skatemount.training.follower import follow
+
+            follow(ranks, config)
+            return None
+        return _train(config, overrides, job)
+
+
+def _train(config: TrainConfig, overrides: list[str], job: Job | None) -> Score:
+    """Do what `train` does, as the only rank or rank 0."""
     from skatemount.evaluation import report
     from skatemount.training.chain import chain_to_train, check_stages
     from skatemount.training.commands import naming_what_is_left, next_commands
+    from skatemount.training.restarts import note_job
     from skatemount.training.resume import resume_config
     from skatemount.training.score import save_evaluation, score_of
     from skatemount.training.trainer import Trainer
@@ -46,10 +64,13 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
     if job is not None and config.resume is None:
         sweep = job.sweep
         config, overrides = _of_job(config, job)
-    goes_on = sweep is not None and config.resume is not None
+    restarted = job is None and _resume_after_restart(config)
+    goes_on = restarted or sweep is not None and config.resume is not None
+    overrides = [each for each in overrides if each.startswith("plugins=")] if restarted else overrides
     chain = chain_to_train(config, overrides, sweep=sweep)
     if chain is not None:
         print(f"run: {chain.run.path}", flush=True)
+        note_job(chain.run)
         if not (goes_on and all(chain.ended(place) for place in range(len(chain.parts)))):
             chain.train()
         print(f"run: {chain.run.path}")
@@ -59,6 +80,7 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
     check_stages(config, overrides)
     trainer = Trainer(resume_config(config, overrides), overrides, sweep if config.resume is None else None)
     print(trainer.describe(), flush=True)
+    note_job(trainer.run)
     try:
         result = _final_evaluation(trainer) if goes_on and _has_ended(trainer) else trainer.train()
     finally:
@@ -95,6 +117,26 @@ def _of_job(config: TrainConfig, job: Job) -> tuple[TrainConfig, list[str]]:
     config.resume = str(started)
     # The run has saved these settings.
     return config, [each for each in job.overrides if each.startswith("plugins=")]
+
+
+def _resume_after_restart(config: TrainConfig) -> bool:
+    """Let the settings resume the run that ``torchrun`` has restarted, and return whether there is one."""
+    from pathlib import Path
+
+    from skatemount.runs import atomic
+    from skatemount.runs.folder import RunFolder
+    from skatemount.training.restarts import run_of_this_job
+
+    run = run_of_this_job(Path(config.logger.root))
+    if run is not None and RunFolder(run).latest is None:
+        # It was stopped before its first checkpoint.
+        atomic.remove_folder(run)
+        run = None
+    if run is None:
+        return False
+    print(f"restarted: resumes {run}", flush=True)
+    config.resume = str(run)
+    return True
 
 
 def _has_ended(trainer: Trainer) -> bool:

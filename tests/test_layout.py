@@ -70,10 +70,14 @@ TESTED_IN = {
     "viewer/controls.py": "viewer/test_page.py",
     "viewer/scene.py": "viewer/test_page.py",
     "viewer/texts.py": "viewer/test_poses.py",
+    "training/collecting.py": "training/test_exact_resume.py",
+    "training/follower.py": "training/test_distributed.py",
     "training/resume.py": "training/test_trainer.py",
     "training/score.py": "test_multirun.py",
     "training/setup.py": "training/test_trainer.py",
     "training/state.py": "training/test_trainer.py",
+    "training/trainer_state.py": "training/test_exact_resume.py",
+    "utils/ranks.py": "training/test_distributed.py",
 }
 """Modules that are part of what another module's tests are about, and that test file."""
 

@@ -111,6 +111,23 @@ class LoggerConfig:
 
 
 @dataclass
+class DistributedConfig:
+    """Several processes, or ranks, that train one policy; see `skatemount.training.distributed`.
+
+    Attributes:
+        timeout: Time without an answer after which a rank counts as lost and the training ends, s.
+        check_every: Iterations between two comparisons of the weights of all ranks; 0 for none.
+    """
+
+    timeout: float = field(metadata=number(1, 86_400, "s"))
+    check_every: int = field(metadata=number(1, 10**9, "iterations", zero="none"))
+
+    def validate(self, where: str = "distributed") -> None:
+        """Raise `ConfigError` for values that cannot be used."""
+        check_bounds(self, where)
+
+
+@dataclass
 class TrainConfig(TaskConfig):
     """Settings of a training; ``conf/train.yaml`` has the defaults.
 
@@ -123,8 +140,9 @@ class TrainConfig(TaskConfig):
         callbacks: Callbacks in addition to the default ones: names that plugins registered, or ``module:Class`` of your
             own.
         logger: Output of a run.
-        seed: Seed of all random numbers.
-        total_frames: Environment steps of all worlds together, at which the training ends.
+        distributed: Several processes, or ranks, that train one policy.
+        seed: Seed of all random numbers; a rank adds its number.
+        total_frames: Environment steps of all worlds, those of all ranks together, at which the training ends.
         precision: Precision of float32 matrix products, ``highest`` or ``medium``, or ``bf16`` for the updates.
         torch_threads: Torch's threads; 0 takes every core.
         init_from: Initial policy: ``stage`` (the one that the stage names), null (from scratch), or what ``checkpoint``
@@ -140,6 +158,7 @@ class TrainConfig(TaskConfig):
     collector: CollectorConfig
     callbacks: list[str]
     logger: LoggerConfig
+    distributed: DistributedConfig
     seed: int = field(metadata=number(0, MAX_SEED))
     total_frames: int = field(metadata=number(1, 10**12))
     precision: str
@@ -158,6 +177,7 @@ class TrainConfig(TaskConfig):
         self.curriculum.validate("curriculum")
         self.collector.validate("collector")
         self.logger.validate("logger")
+        self.distributed.validate("distributed")
         for name in self.callbacks:
             CALLBACKS.check_name(name, "callbacks")
             if self.callbacks.count(name) > 1:

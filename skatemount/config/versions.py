@@ -13,7 +13,7 @@ from skatemount.envs.config.boards import RANGES
 from skatemount.runs.shipped import ALIASES
 from skatemount.utils.errors import ConfigError
 
-FORMAT = 7
+FORMAT = 8
 
 RENAMED: dict[str, str] = {
     "algorithm.clip": "algorithm.clip_epsilon",
@@ -70,6 +70,7 @@ ADDED_LATER: dict[str, Any] = {
     },
     "callbacks": [],
     "command.board_point": "deck",
+    "distributed": {"timeout": 60.0, "check_every": 10},
     "logger.dump_diverged": 0,
     "logger.loggers": [],
     "network.kind": "mlp",
@@ -96,8 +97,7 @@ ADDED_LATER: dict[str, Any] = {
     "start.move_with_board": False,
     "start.truck_angle": None,
 }
-"""The same for files of formats 1 to 6."""
-
+"""The same for files of formats 1 to 7."""
 
 RENAMED_VALUES: dict[str, dict[str, str]] = {"robot.variant": {"unitree": "a1", "isaac": "a1_isaac"}}
 """Values of formats 1 to 3 and what they became in format 4, by setting."""

@@ -136,6 +136,10 @@ class AutoCurriculum:
         self.episodes.index_add_(0, bins, ended)
         self.successes.index_add_(0, bins, good)
 
+    def tallies(self) -> list[Tensor]:
+        """Return the counts of episodes and successes, which several ranks add up; see `Curriculum.tallies`."""
+        return [self.episodes, self.successes]
+
     def update(self) -> None:
         """Limit the counts to the window of recent episodes, and open bins next to solved ones."""
         fade = (self.config.window / self.episodes.clamp(min=1e-6)).clamp(max=1.0)

@@ -38,6 +38,13 @@ class Curriculum(Protocol):
             done: ``[N]`` bool, episodes that ended.
         """
 
+    def tallies(self) -> list[Tensor]:
+        """Return the tensors to which `observe_step` adds; only a training with several ranks needs them.
+
+        What each rank has added is summed over all ranks before `update`, which must follow from these tensors alone,
+        so that all ranks have the same curriculum.
+        """
+
     def update(self) -> None:
         """Update the choice of poses; called after every batch, before it is learned from and new poses are drawn."""
 

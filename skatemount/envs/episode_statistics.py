@@ -98,6 +98,10 @@ class EpisodeStatistics:
         finite = (self._returns.isfinite().all(1) & self._return_sums.isfinite()).tolist()
         return [name for name, good in zip(self._rewards, finite) if not good]
 
+    def sums(self) -> list[Tensor]:
+        """Return the sums over the episodes that ended since the last `pop`, which several ranks add up in place."""
+        return [self._sums, self._return_sums, self._termination_counts]
+
     def pop(self) -> dict[str, float]:
         """Return the means since the last call, and start new sums.
 

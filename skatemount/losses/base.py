@@ -15,6 +15,7 @@ from skatemount.models.base import Networks, is_own
 from skatemount.models.trial import STEPS, WORLDS, example_batch, unchanged
 from skatemount.utils.classes import made
 from skatemount.utils.errors import ConfigError, reason
+from skatemount.utils.ranks import ALONE, Ranks
 
 
 class NotFinite(FloatingPointError):
@@ -48,9 +49,13 @@ class Algorithm(abc.ABC):
     Attributes:
         teacher: Returns the mean actions of a policy to imitate, ``[N, T, J]``, for a batch; see
             `skatemount.agents.teacher.Teacher`. The training sets it if ``algorithm.teacher`` names one.
+        ranks: The processes that train one policy together. With more than one, `update` gets a batch of its own on
+            every rank and must leave the same weights on all of them: average the gradients, and all that the update
+            depends on, with its methods.
     """
 
     teacher: Callable[[TensorDictBase], Tensor] | None = None
+    ranks: Ranks = ALONE
 
     def __init__(
         self,

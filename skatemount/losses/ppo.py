@@ -170,11 +170,12 @@ class PPO(Algorithm):
             FloatingPointError: The batch is not finite, and nothing has changed; or the loss or the gradient is not
                 finite, and the weights are those before that minibatch.
         """
-        self._check_finite(batch)
+        with self.ranks.failing_together():
+            self._check_finite(batch)
         self.networks.observe(batch)
         flat = self._inputs(batch)
         # A few thousand states estimate the KL as well as the whole batch.
-        sample = flat.select(*self._actor.in_keys)[:: max(1, flat.numel() // KL_STATES)]
+        sample = flat.select(*self._actor.in_keys)[:: max(1, flat.numel() * self.ranks.size // KL_STATES)]
         with torch.no_grad(), self._computing():
             loc, scale = _moments(self._actor.get_dist(sample.copy()))
             # The scale is a view of the parameter, which the update changes.
@@ -182,7 +183,9 @@ class PPO(Algorithm):
 
         with self._concurrent.two_threads() if self._concurrent is not None else contextlib.nullcontext():
             means = self._learn(flat)
-        kl = self._divergence(sample, loc, scale)
+        measured = {"Loss/kl": self._divergence(sample, loc, scale), "Policy/mean_std": float(scale.mean())}
+        means = self.ranks.averaged(means | measured)
+        kl = means["Loss/kl"]
         if self._schedule is not None:
             # Once per batch. The first minibatches are close to the old policy, so a schedule that steps after each of
             # them raises the rate several times before it can lower it again.
@@ -194,7 +197,7 @@ class PPO(Algorithm):
             **self.loss_metrics(means),
             "Loss/kl": kl,
             "Loss/learning_rate": self.learning_rate,
-            "Policy/mean_std": float(scale.mean()),
+            "Policy/mean_std": means["Policy/mean_std"],
         }
 
     def _learn(self, flat: TensorDictBase) -> dict[str, float]:
@@ -234,7 +237,8 @@ class PPO(Algorithm):
         advantage = batch["advantage"]
         # Torch splits the sum of a large tensor over its threads, so the rounding would depend on their number.
         with torch_threads(1):
-            batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+            mean, deviation = self.ranks.mean_and_deviation(advantage)
+            batch["advantage"] = (advantage - mean) / (deviation + 1e-8)
         rows = inputs.update(batch.select(*self.loss_keys))
         if self.teacher is not None and self._teacher_coeff > 0:
             rows[TEACHER_ACTION] = self.teacher(batch)
@@ -314,9 +318,12 @@ class PPO(Algorithm):
         total.backward()
         if self._concurrent is not None:
             self._concurrent.join()
+        # The loss goes with the gradients, so that all ranks notice one that is not finite.
+        total = total.detach()
+        self.ranks.mean(total, *(p.grad for p in self._parameters if p.grad is not None))
         norm = nn.utils.clip_grad_norm_(self._parameters, self.config.max_grad_norm)
         if not bool(torch.isfinite(norm) & torch.isfinite(total)):
-            raise FloatingPointError(f"loss {float(total.detach())} or gradient {float(norm)} is not finite")
+            raise FloatingPointError(f"loss {float(total)} or gradient {float(norm)} is not finite")
         self.optimizer.step()
         # Some of TorchRL's losses report a value for each row.
         return {name: value.detach().mean() for name, value in losses.items()}

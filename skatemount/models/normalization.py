@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from skatemount.models.symmetry import Reflection
+from skatemount.utils.ranks import ALONE, Ranks
 
 
 class RunningNormalizer(nn.Module):
@@ -23,7 +24,10 @@ class RunningNormalizer(nn.Module):
         mean: ``[size]`` float32.
         var: ``[size]`` float32.
         count: ``[size]`` float64, samples seen of each feature. Features that were added to a policy have seen fewer.
+        ranks: The processes whose batches count as one.
     """
+
+    ranks: Ranks = ALONE
 
     mean: Tensor
     var: Tensor
@@ -54,11 +58,21 @@ class RunningNormalizer(nn.Module):
             n, image = 2 * n, mirror(mean)
             var = (var + var[mirror.permutation]) / 2 + ((mean - image) / 2).square()
             mean = (mean + image) / 2
+        if self.ranks.size > 1:
+            n, mean, var = self._of_all_ranks(n, mean, var)
         self.count.add_(n)
         share = (n / self.count).to(mean.dtype)
         shift = mean - self.mean
         self.var.copy_(self.var * (1 - share) + var * share + shift.square() * share * (1 - share))
         self.mean.add_(shift * share)
+
+    def _of_all_ranks(self, n: int, mean: Tensor, var: Tensor) -> tuple[int, Tensor, Tensor]:
+        """Return number, mean and variance of the batches of all ranks, which are of the same size."""
+        own = mean.clone()
+        self.ranks.mean(mean)
+        spread = var + (own - mean).square()
+        self.ranks.mean(spread)
+        return n * self.ranks.size, mean, spread
 
     @torch.no_grad()
     def inherit(self, other: RunningNormalizer, places: Tensor) -> None:

@@ -34,8 +34,11 @@ from skatemount.runs.sweep import JOB_FILE, is_sweep
 from skatemount.utils.documents import read_yaml
 from skatemount.utils.errors import ConfigError
 
+JOB_OF_TORCHRUN = ".torchrun"
+"""File of a run that names the job of ``torchrun`` that trains it."""
+
 _AT_START = {"config.yaml", "overrides.yaml", "git.diff", "environment.txt", "parent.json", "stages.yaml",
-             "stages.json", JOB_FILE, ".lock"}  # fmt: skip
+             "stages.json", JOB_FILE, ".lock", JOB_OF_TORCHRUN}  # fmt: skip
 """Files that a run has before anything is trained."""
 
 POINTERS = ("latest", "best")

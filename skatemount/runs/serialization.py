@@ -69,21 +69,30 @@ def load_state(folder: Path) -> dict[str, Any]:
         tensors = read_tensors(folder / TENSORS_FILE, document["tensors_sha256"])
         if document["format"] == 1:
             return old_state.to_parts(state, tensors)
-        for name, tensor in tensors.items():
-            *groups, key = name.split("/")
-            holder = state
-            for group in groups:
-                holder = holder[group]
-            holder[key] = tensor
+        _put_tensors(state, tensors)
     except (KeyError, TypeError, AttributeError) as error:
         raise ConfigError(f"{path}: not a saved state ({error!r})") from error
     return state
 
 
+def to_bytes(state: Mapping[str, Any]) -> bytes:
+    """Return training state as bytes, for another process; see `save_state`."""
+    tensors: dict[str, Tensor] = {}
+    values = json.dumps(_take_tensors(state, "", tensors)).encode()
+    return len(values).to_bytes(8, "little") + values + _tensor_bytes(tensors)
+
+
+def from_bytes(data: bytes) -> dict[str, Any]:
+    """Return the state of which `to_bytes` made the bytes, tensors on the CPU."""
+    end = 8 + int.from_bytes(data[:8], "little")
+    state: dict[str, Any] = json.loads(data[8:end])
+    _put_tensors(state, safetensors.torch.load(data[end:]))
+    return state
+
+
 def write_tensors(path: Path, tensors: Mapping[str, Tensor]) -> str:
     """Write named tensors, of any device and layout, to a safetensors file, and return the file's SHA-256."""
-    owned = {name: tensor.detach().to("cpu", copy=True).contiguous() for name, tensor in tensors.items()}
-    data = safetensors.torch.save(owned)
+    data = _tensor_bytes(tensors)
     atomic.write_bytes(path, data)
     return hashlib.sha256(data).hexdigest()
 
@@ -170,6 +179,23 @@ def _take_tensors(state: Mapping[str, Any], where: str, tensors: dict[str, Tenso
                 "values, and dicts of all of them can"
             )
     return values
+
+
+def _put_tensors(state: dict[str, Any], tensors: Mapping[str, Tensor]) -> None:
+    """Put tensors into a nested state, in place, by the paths that `_take_tensors` gave them."""
+    for name, tensor in tensors.items():
+        *groups, key = name.split("/")
+        holder = state
+        for group in groups:
+            holder = holder[group]
+        holder[key] = tensor
+
+
+def _tensor_bytes(tensors: Mapping[str, Tensor]) -> bytes:
+    """Return tensors of any device and layout in the format of a safetensors file."""
+    owned = {name: tensor.detach().to("cpu", copy=True).contiguous() for name, tensor in tensors.items()}
+    data: bytes = safetensors.torch.save(owned)
+    return data
 
 
 def _is_plain(value: Any) -> bool:

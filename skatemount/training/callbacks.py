@@ -29,7 +29,13 @@ class Callback:
 
     A callback may read everything of the trainer, change a batch or the metrics in place, and end the training with
     ``trainer.stop()``.
+
+    Attributes:
+        on_all_ranks: Run on every rank of a training with several. The default is on rank 0 only, which is right for
+            what is written and shown. A callback that changes batches, or what is trained, must run on every rank.
     """
+
+    on_all_ranks: bool = False
 
     def on_train_start(self, trainer: Trainer) -> None:
         """Run before the first batch is collected, also when a run resumes."""
@@ -59,6 +65,8 @@ class Callback:
 
 class CurriculumCallback(Callback):
     """Lets the curriculum decide, after each batch, where the next episodes start."""
+
+    on_all_ranks = True
 
     def on_batch_collected(self, trainer: Trainer, batch: TensorDictBase) -> None:
         """Update the curriculum with the episodes that ended in the batch."""

@@ -14,6 +14,7 @@ from skatemount.config.plugins import modules_of, written
 from skatemount.runs import checkpoint
 from skatemount.runs.folder import RunFolder, is_run
 from skatemount.utils.errors import ConfigError, StorageError
+from skatemount.utils.ranks import Ranks
 from skatemount.utils.signals import Ended
 
 if TYPE_CHECKING:
@@ -49,21 +50,23 @@ def what_is_left(trainer: Trainer) -> str:
     Args:
         trainer: The training, which has ended.
     """
-    run, frames = trainer.run, trainer.saved_frames
+    run, frames, ranks = trainer.run, trainer.saved_frames, trainer.ranks
+    if not ranks.first:
+        return f"rank 0 has the run {run.path}"
     if not frames:
         return f"nothing was trained in {run.path}" if run.path.exists() else "nothing was trained"
     if not is_run(run.path):
-        return f"the run {run.path} is gone; if it was moved, go on with: {' '.join(_resume('<its folder>'))}"
+        return f"the run {run.path} is gone; if it was moved, go on with: {' '.join(_resume('<its folder>', ranks))}"
     # A complete training has nothing to resume but its evaluation; of a chain, the next stage.
     complete = trainer.stopping and frames == trainer.frames and run.parent is None
     modules = modules_of(run.config)
-    resume = [*_resume(run.path), *([written(modules)] if modules else [])]
+    resume = [*_resume(run.path, ranks), *([written(modules)] if modules else [])]
     command = ["python", "-m", "skatemount.evaluate", *policy_settings(run)] if complete else resume
     return f"{frames:,} steps are saved in {run.latest}; go on with: {shlex.join(command)}"
 
 
-def _resume(where: object) -> list[str]:
-    return ["python", "-m", "skatemount.train", f"resume={where}"]
+def _resume(where: object, ranks: Ranks) -> list[str]:
+    return [*ranks.command, "-m", "skatemount.train", f"resume={where}"]
 
 
 @contextmanager

@@ -91,6 +91,11 @@ def ending_by_signals() -> Iterator[None]:
         _requests = None
 
 
+def waiting_signal() -> int:
+    """Return the number of a signal that waits until the end of a `shielded` block; 0 if there is none."""
+    return _requests.received[0] if _requests is not None and _requests.waiting else 0
+
+
 @contextlib.contextmanager
 def exiting_by_signals(program: str) -> Iterator[None]:
     """End the process with one line and the usual status when a signal asks for it; for the ``main`` of a program.

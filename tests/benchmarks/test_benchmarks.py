@@ -96,3 +96,19 @@ def test_robust_parts(repo_root: Path, tmp_path: Path) -> None:
     assert (tmp_path / "table.md").read_text().count("\n| ") == 3 and (tmp_path / "parts.png").stat().st_size > 10_000
     other = run(script, *options, "--", *tiny, "seed=1")
     assert other.returncode and "name another folder with --out" in other.stderr
+
+
+def test_ranks(repo_root: Path, tmp_path: Path) -> None:
+    options = ["--worlds", "8", "--iterations", "2", "--rounds", "1", "--cores", "0", "0", "--iteration-time", "4"]
+    small = ["stage=balance", "network.actor=[16]", "network.critic=[16]"]
+    done = run(
+        repo_root / "benchmarks" / "ranks.py", *options, "--json", str(tmp_path / "a.json"), "--settings", *small
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "a.json").read_text())
+    one, two = found["measured"]
+    assert (one["ranks"], one["megabytes"], two["ranks"]) == (1, 0.0, 2) and two["megabytes"] > 0
+    assert two["loopback"] > two["megabytes"]
+    efficiency = [row["efficiency"] for row in found["calculated"]]
+    assert len(efficiency) == 8 and 0 < efficiency[3] < efficiency[0] < efficiency[4] < 1
+    assert done.stdout.count("efficiency") == 8

@@ -32,6 +32,7 @@ GROUPS = (
     "algorithm",
     "network",
     "collector",
+    "distributed",
     "logger",
 )
 

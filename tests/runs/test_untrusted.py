@@ -216,7 +216,7 @@ def test_a_state_of_wrong_types_and_a_fitting_checksum(
 ) -> None:
     assert copied.latest is not None
     edit_state(copied, change)
-    text = message(lambda: trainer._restore(copied.latest))  # type: ignore[arg-type]
+    text = message(lambda: trainer.state.restore(copied.latest))  # type: ignore[arg-type]
     assert str(copied.latest) in text and expected in text
 
 
