@@ -139,8 +139,9 @@ def _collecting(errors: list[OSError]) -> Iterator[None]:
 
 
 def _write_outputs(task: EvaluationTask, result: Evaluation, folder: Path, drawing: Decoration) -> list[Path]:
-    """Write the results, the success map and the ladder of one task into a folder, and return the files."""
+    """Write results, success map, and ladder or grid of one task into a folder, and return the files."""
     from skatemount.envs.boards import boards_of
+    from skatemount.evaluation.grid import plot_grid
     from skatemount.evaluation.ladder import plot_ladders
     from skatemount.evaluation.success_map import plot_success_map
 
@@ -154,6 +155,10 @@ def _write_outputs(task: EvaluationTask, result: Evaluation, folder: Path, drawi
             steps = folder / f"{task.file_stem}_ladder.png"
             plot_ladders({task.name: {task.agent.name: ladder}}, steps)
             written.append(steps)
+        if (grid := result.grid()) is not None:
+            cells = folder / f"{task.file_stem}_grid.png"
+            plot_grid(grid, result.title, cells)
+            written.append(cells)
     return written
 
 

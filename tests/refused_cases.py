@@ -147,7 +147,7 @@ RANGES: dict[str, tuple[list[float], list[float]]] = {
 MAY_BE_NULL = {"start.distance", "start.step_height", "randomization.push_interval"}
 
 CHOICES: list[tuple[str, Any, str]] = [
-    ("success", "win", "gait, hold, mount"),
+    ("success", "win", "gait, hold, mount, mount_and_ride, ride"),
     ("precision", "low", "highest, medium, bf16"),
     ("robot.variant", "b1", "a1, a1_isaac"),
     ("physics.engine", "warm", "cpu, warp"),
@@ -155,7 +155,7 @@ CHOICES: list[tuple[str, Any, str]] = [
     ("physics.cone", "round", "pyramidal, elliptic"),
     ("physics.device", "gpu", "auto, cpu, cuda"),
     ("physics.device", "cuda:", "cuda:<number>"),
-    ("command.mode", "follow", "sampled, board, zero"),
+    ("command.mode", "follow", "sampled, board, zero, ride"),
     ("command.turn_to", "left", "nearer, front"),
     ("network.activation", "gelu", "elu, relu, tanh, silu"),
     ("curriculum.kind", "automatic", "none, stages, auto"),

@@ -38,6 +38,7 @@ TESTED_IN = {
     "envs/rewards/board.py": "envs/rewards/test_terms.py",
     "envs/rewards/locomotion.py": "envs/rewards/test_terms.py",
     "envs/tasks/gait.py": "envs/test_success.py",
+    "envs/tasks/mount_and_ride.py": "envs/tasks/test_ride.py",
     "envs/tasks/metrics.py": "envs/tasks/test_measures.py",
     "envs/tasks/mount.py": "envs/test_success.py",
     "envs/state.py": "envs/physics/test_cpu.py",

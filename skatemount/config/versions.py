@@ -71,6 +71,9 @@ ADDED_LATER: dict[str, Any] = {
     "callbacks": [],
     "command.board_point": "deck",
     "distributed": {"timeout": 60.0, "check_every": 10},
+    "command.curvature": [-0.9, 0.9],
+    "command.ride_after": 0.0,
+    "command.speed": [0.3, 1.5],
     "logger.dump_diverged": 0,
     "logger.loggers": [],
     "network.kind": "mlp",
@@ -94,6 +97,7 @@ ADDED_LATER: dict[str, Any] = {
     },
     "start.board_lean": [0.0, 0.0],
     "start.drive": False,
+    "start.either_way": True,
     "start.move_with_board": False,
     "start.truck_angle": None,
 }

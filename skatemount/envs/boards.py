@@ -37,6 +37,8 @@ class BoardSizes:
         truck_sine: ``[N]``.
         truck_cosine: ``[N]``.
         truck_tangent: ``[N]``.
+        steering_length: ``[N]`` m.
+        max_curvature: ``[N]`` 1/m.
     """
 
     deck_length: Tensor
@@ -50,6 +52,8 @@ class BoardSizes:
     truck_sine: Tensor
     truck_cosine: Tensor
     truck_tangent: Tensor
+    steering_length: Tensor
+    max_curvature: Tensor
 
     @classmethod
     def of(cls, boards: Sequence[SkateboardConfig]) -> BoardSizes:
@@ -81,9 +85,9 @@ class BoardSizes:
         return BoardSizes(**fields)
 
     def columns(self) -> Tensor:
-        """Return what terms need, ``[N, 5]`` m float32, in the order of `SimState.board_sizes`."""
+        """Return what terms need, ``[N, 7]`` float32, in the order of `SimState.board_sizes`."""
         halves = (self.deck_length / 2, self.deck_width / 2, self.deck_height, self.wheelbase / 2, self.track / 2)
-        return torch.stack(halves, 1).float()
+        return torch.stack((*halves, self.steering_length, self.max_curvature), 1).float()
 
 
 AnyBoard = SkateboardConfig | BoardSizes
@@ -159,7 +163,7 @@ class Boards:
     Attributes:
         of_world: Settings of the board of each world.
         sizes: Quantities of the worlds' boards, float64, on the device of the worlds.
-        columns: ``[N, 5]``, see `SimState.board_sizes`.
+        columns: ``[N, 7]``, see `SimState.board_sizes`.
     """
 
     def __init__(self, of_world: Sequence[SkateboardConfig], device: torch.device | None = None):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from skatemount.envs import success
+from skatemount.envs import riding, success
 from skatemount.envs.commands import CommandGenerator
 from skatemount.envs.config.task import TaskConfig
 from skatemount.envs.geometry import board_direction
@@ -97,15 +97,22 @@ class Mdp:
         self.memory = TermMemory(
             [*self.rewards.memory, *self.terminations.memory, *observing], observing, self.context, self.device
         )
-        self.commands = CommandGenerator(config.command, self.context.control_step, generator, scene.deck_height)
+        self.commands = CommandGenerator(
+            config.command, self.context.control_step, generator, scene.deck_height, scene.board.config.max_curvature
+        )
         self.sensed: SimState | None = None
         # The time constant of `EpisodeState.soft_success` is 0.35 s.
         self._soft_success_decay = math.exp(-self.context.control_step / 0.35)
         self.definition = TASKS.get(config.success)
-        try_task(self.definition, self.context, self.observation.size, self.device)
+        try_task(self.definition, self.context, self.no_episodes)
         self.max_mounted_time = math.inf
         self._noise = generator if tables.noise and config.sensing.term_noise else None
         self._action_clip = robot.config.action_clip
+
+    def no_episodes(self, num_worlds: int) -> EpisodeState:
+        """Create episodes without any history, ``[num_worlds]``."""
+        size, rides = self.observation.size, self.commands.rides
+        return EpisodeState.zeros(num_worlds, self.context.layout, size, self.device, rides)
 
     def targets(self, action: Tensor) -> Tensor:
         """Convert actions to joint position targets.
@@ -135,7 +142,7 @@ class Mdp:
         Returns:
             ``[N]`` episodes at their start.
         """
-        fresh = EpisodeState.zeros(sim.base_pos.shape[0], self.context.layout, self.observation.size, self.device)
+        fresh = self.no_episodes(sim.base_pos.shape[0])
         if bins is not None:
             fresh.bin = bins
         distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
@@ -197,6 +204,7 @@ class Mdp:
         episode.mounted_time = torch.where(episode.mounted, episode.mounted_time + step, 0.0)
         elapsed = torch.where(on_deck.any(1), episode.step * step, math.inf)
         episode.first_contact = torch.minimum(episode.first_contact, elapsed)
+        riding.advance(sim, episode, self.context)
 
         termination_flags = torch.cat((self.terminations(sim, episode), diverged.unsqueeze(0)))
         terminated = termination_flags.any(0)

@@ -17,6 +17,7 @@ KINDS = {
     "axial": "axial vectors (angular velocities), three values each: x and z change their signs",
     "vector_axial": "a polar and an axial vector, six values",
     "command": "velocity command (forward, left, turn left): left and turn change their signs",
+    "ride": "command of a ride (phase, speed, curvature): curvature changes its sign",
     "joints": "one value for each joint: the legs change sides, and angles about x or z change their signs",
     "feet": "a polar vector for each foot: the legs change sides, and y changes its sign",
     "flags": "one value for each foot: the legs change sides",
@@ -59,6 +60,8 @@ def mirror_map(kind: str, size: int, layout: JointLayout) -> tuple[Tensor, Tenso
         return same, torch.cat((_POLAR, _AXIAL))
     if kind == "command":
         return same, torch.tensor([1.0, -1.0, -1.0])
+    if kind == "ride":
+        return same, torch.tensor([1.0, 1.0, -1.0])
     if kind == "joints":
         return torch.tensor(layout.mirror_joints), torch.tensor(layout.joint_signs)
     if kind == "feet":

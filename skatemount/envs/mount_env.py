@@ -160,7 +160,7 @@ class MountEnv(EnvBase):
         self._pushes = Pushes(config.randomization, n, self.mdp.context.control_step, self.generator)
         self._randomizer = Randomizer(config.randomization, physics.index, physics.model, self.generator, of_boards)
         self._randomizer.build_worlds(physics)
-        self._episode = EpisodeState.zeros(n, self.mdp.context.layout, self.mdp.observation.size, self.device)
+        self._episode = self.mdp.no_episodes(n)
         self._privileged = torch.zeros(n, self.mdp.privileged.size, device=self.device)
         self._begun = self._resumes = False
         self.mdp.allocate(n)
@@ -314,7 +314,7 @@ class MountEnv(EnvBase):
         if self._resistance.active:
             self._resistance.apply(self.physics, self.sim)
         if self._drive.active:
-            self.physics.pull_board(self._drive.force(self.sim))
+            self.physics.pull_board(self._drive.force(self.sim, self._episode))
         targets = self.mdp.targets(action)
         self.divergence.before_step()
         self.physics.step(targets, self._substeps)

@@ -325,7 +325,9 @@ class StartSampler:
         if bounds == [0.0, 0.0]:
             # Nothing is drawn, so that the other random numbers of a seed are the same as without this setting.
             return torch.zeros(n, device=fixed.device)
-        speed = uniform((n,), generator, bounds) * either_sign(n, generator)
+        speed = uniform((n,), generator, bounds)
+        if self.config.either_way:
+            speed = speed * either_sign(n, generator)
         return torch.where(fixed, 0.0, speed)
 
 

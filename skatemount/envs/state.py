@@ -57,8 +57,9 @@ class SimState:
         board_fixed: ``[N]`` bool, whether the deck is welded to the world.
         board_age: ``[N]`` time since the board's pose was measured, s; None in a true state, whose pose is the present
             one. See `skatemount.envs.sensing`.
-        board_sizes: ``[N, 5]`` half length, half width and height of the deck, half wheelbase and half track, m; None
-            if all worlds have the same board. `TaskContext.deck_half_of` and its like read it.
+        board_sizes: ``[N, 7]`` half length, half width and height of the deck, half wheelbase, half track and steering
+            length, m, and largest curvature, 1/m; None if all worlds have the same board. `TaskContext.deck_half_of`
+            and its like read it.
     """
 
     base_pos: Tensor
@@ -152,7 +153,7 @@ class StateReader:
             joint_acc: ``[N, J]`` rad/s^2.
             ground_height: ``[N]`` m.
             board_fixed: ``[N]`` bool.
-            board_sizes: ``[N, 5]`` m, see `SimState`; None if all worlds have the same board.
+            board_sizes: ``[N, 7]``, see `SimState`; None if all worlds have the same board.
 
         Returns:
             ``[N]`` states, with views of the tensors.
@@ -213,6 +214,10 @@ class EpisodeState:
         board_direction: ``[N, 1]``, 1 if the board's x axis points to the end that the trunk faces, else -1; see
             `skatemount.envs.geometry.board_direction`.
         observation: ``[N, O]`` present observation of the policy, its history included.
+        ride_command: ``[N, 3]`` phase, speed (m/s) and curvature (1/m, positive to the left) of the board's path. The
+            phase is 1 while the robot is to ride, else 0 as are the other two. None if no ride is commanded.
+        ride_steps: ``[N]`` int64, control steps of the present ride; None if no ride is commanded.
+        ride_sums: ``[N, 8]`` sums over these steps, see `skatemount.envs.riding`; None if no ride is commanded.
     """
 
     step: Tensor
@@ -237,10 +242,18 @@ class EpisodeState:
     start: Tensor
     board_direction: Tensor
     observation: Tensor
+    ride_command: Tensor | None = None
+    ride_steps: Tensor | None = None
+    ride_sums: Tensor | None = None
 
     @classmethod
     def zeros(
-        cls, num_worlds: int, layout: JointLayout, observation_size: int = 0, device: torch.device | None = None
+        cls,
+        num_worlds: int,
+        layout: JointLayout,
+        observation_size: int = 0,
+        device: torch.device | None = None,
+        rides: bool = False,
     ) -> EpisodeState:
         """Create episodes without any history.
 
@@ -249,6 +262,7 @@ class EpisodeState:
             layout: Numbers of joints and feet.
             observation_size: Number of values in the policy's observation, O.
             device: Device of the tensors.
+            rides: True if rides are commanded.
 
         Returns:
             ``[N]`` episodes.
@@ -278,5 +292,8 @@ class EpisodeState:
             start=f(n, 3),
             board_direction=full((n, 1), 1.0),
             observation=f(n, observation_size),
+            ride_command=f(n, 3) if rides else None,
+            ride_steps=f(n, dtype=torch.int64) if rides else None,
+            ride_sums=f(n, 8) if rides else None,
             batch_size=[n],
         )

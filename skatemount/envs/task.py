@@ -71,7 +71,7 @@ class MountTask(composer.Task):
         self._mdp = self.make_mdp(self._generator)
         if not config.boards.vary:
             self._sampler = self.make_sampler()
-        self._episode = EpisodeState.zeros(1, self._mdp.context.layout, self._mdp.observation.size)
+        self._episode = self._mdp.no_episodes(1)
         self._outcome: StepResult | None = None
         self._sim: SimState | None = None
         self._pushes: Pushes | None = None
@@ -253,7 +253,7 @@ class MountTask(composer.Task):
         if self._pushes is not None and self._pushes.active:
             self._push(physics, *self._pushes.due())
         if self._drive.active:
-            physics.data.xfrc_applied[self._index.board_body, :3] = self._drive.force(sim)[0]
+            physics.data.xfrc_applied[self._index.board_body, :3] = self._drive.force(sim, self._episode)[0]
         self._action = torch.as_tensor(np.asarray(action), dtype=torch.float32).reshape(1, -1)
         physics.data.ctrl[self._index.actuators] = self._mdp.targets(self._action)[0]
 

@@ -48,6 +48,7 @@ class TaskContext:
         foot_radius: Radius of a foot, m.
         stance_height: Height of the trunk's center above the soles in the default pose, m.
         episode_steps: Control steps of a full episode.
+        steering: Steering length of the board, m, and largest curvature of its path, 1/m.
     """
 
     control_step: float
@@ -60,6 +61,7 @@ class TaskContext:
     foot_radius: float
     stance_height: float
     episode_steps: int
+    steering: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(cls, scene: Scene, episode_length: float) -> TaskContext:
@@ -90,6 +92,7 @@ class TaskContext:
             foot_radius=robot.kinematics.foot_radius,
             stance_height=float(robot.kinematics.foot_radius - feet[:, 2].mean()),
             episode_steps=max(1, round(episode_length / step)),
+            steering=(board.steering_length, board.max_curvature),
         )
 
     def deck_half_of(self, sim: SimState) -> tuple[float, float] | tuple[Tensor, Tensor]:
@@ -101,6 +104,15 @@ class TaskContext:
     def deck_height_of(self, sim: SimState) -> float | Tensor:
         """Return the height of the deck's top above the floor at rest, m: a number, or ``[N, 1]`` if boards vary."""
         return cast(float, vars(self)["deck_height"]) if sim.board_sizes is None else sim.board_sizes[:, 2:3]
+
+    def steering_of(self, sim: SimState) -> tuple[float, float] | tuple[Tensor, Tensor]:
+        """Return steering length, m, and largest curvature, 1/m: two numbers, or two ``[N]`` if boards vary.
+
+        See `skatemount.envs.config.board.SkateboardConfig.max_curvature`.
+        """
+        if (sizes := sim.board_sizes) is None:
+            return cast(tuple[float, float], vars(self)["steering"])
+        return sizes[:, 5], sizes[:, 6]
 
     def wheels_scale_of(self, sim: SimState) -> tuple[float, float] | tuple[Tensor, Tensor]:
         """Return wheelbase and track as shares of those of the settings' board: 1, or ``[N, 1]`` if boards vary."""
@@ -118,7 +130,7 @@ class ContextOfBoards(TaskContext):
         Raises:
             ConfigError: It is a size of the board.
         """
-        if name in ("deck_half", "deck_height"):
+        if name in ("deck_half", "deck_height", "steering"):
             raise ConfigError(
                 f"context.{name} is of one board, but boards=varied gives every world its own; a term must use "
                 f"context.{name}_of(sim)"

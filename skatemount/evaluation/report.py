@@ -25,8 +25,10 @@ def table(result: Evaluation) -> str:
         made.add_row(metric.label, result.text(metric.name))
     made.add_row("failures", failures(result))
     text = rendered(made)
-    if result.variants:
+    if result.variants and result.grid() is None:
         text += "\n\n" + overview(result.by_variant() | {"all of them": result}, "variant")
+    if (grid := result.grid()) is not None:
+        text += f"\n\n{grid.table()}"
     if (ladder := result.ladder()) is not None:
         text += f"\n\n{ladder.quantity}: success {ladder.verdict}"
     return text

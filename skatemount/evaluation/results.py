@@ -9,6 +9,7 @@ import torch
 
 from skatemount.config import compose
 from skatemount.envs.tasks.definition import TaskDefinition
+from skatemount.evaluation.grid import Grid
 from skatemount.evaluation.intervals import wilson_interval
 from skatemount.evaluation.ladder import Ladder
 from skatemount.evaluation.records import EpisodeRecords
@@ -134,6 +135,10 @@ class Evaluation:
         """Return the results as a ladder; None if the suite's variants are not the steps of one."""
         return Ladder.of(self)
 
+    def grid(self) -> Grid | None:
+        """Return the results as a grid; None if the suite's variants are not all pairs of steps of two quantities."""
+        return Grid.of(self)
+
     def first_success(self) -> int | None:
         """Return the number of the first episode that succeeded, or None if none did."""
         numbers = self.records.number[self.records.success]
@@ -168,6 +173,8 @@ class Evaluation:
             result["boards"] = {"number": self.boards, "worst": {"board": worst[0]} | worst[1]._summary()}
         if (ladder := self.ladder()) is not None:
             result["ladder"] = ladder.to_dict()
+        if (grid := self.grid()) is not None:
+            result["grid"] = grid.to_dict()
         if failed_episodes:
             result["failed_episodes"] = self.failed_episodes()
         return result | {"evaluated": dict(self.evaluated)}

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from skatemount.envs.commands import CommandGenerator
-from skatemount.envs.config.commands import MODES
 from skatemount.envs.geometry import board_direction
 from skatemount.envs.legs import Legs
 from skatemount.envs.mdp import Mdp
@@ -17,6 +16,9 @@ from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.task import MountTask
 from skatemount.exporting.onnx_graph import MEMORY, NEXT, Values, make_graph
 from skatemount.utils.errors import ConfigError
+
+EXPORTED = ("sampled", "board", "zero")
+"""Values of ``command.mode`` that an exported policy can have."""
 
 DERIVED = ("foot_pos_base", "foot_pos_board")
 """Fields of `SimState` that follow from the joint angles and the board's pose."""
@@ -43,8 +45,8 @@ class Observe:
         self._mdp = mdp = task.make_mdp(torch.Generator())
         self._task, self._legs = task, Legs(task.scene.robot.spec)
         self.mode = task.config.command.mode
-        if self.mode not in MODES:
-            raise ConfigError(f"command.mode={self.mode} cannot be exported; use one of {', '.join(MODES)}")
+        if self.mode not in EXPORTED:
+            raise ConfigError(f"command.mode={self.mode} cannot be exported; use one of {', '.join(EXPORTED)}")
         context = mdp.context
         self._commands = CommandGenerator(
             task.config.command, context.control_step, torch.Generator(), context.deck_height

@@ -25,6 +25,9 @@ KEYS = {"I": (0.1, 0.0, 0.0), "K": (-0.1, 0.0, 0.0), "J": (0.0, 0.0, 0.2), "L": 
 LIMITS = (1.5, 1.0, 2.0)
 """Largest velocity command of the sliders."""
 
+RIDE_KEYS = {"I": (0.1, 0.0), "K": (-0.1, 0.0), "J": (0.0, 0.1), "L": (0.0, -0.1), "U": None, "O": None}
+"""Change of the command of a ride by key: speed, m/s, and share of the largest curvature; None for straight on."""
+
 
 class Controls:
     """Buttons, sliders and keys of the page.
@@ -122,7 +125,7 @@ class Controls:
             control.on_update(changed)
 
     def disturb_tab(self) -> None:
-        """Add pushes, delays, noise, friction and velocity commands."""
+        """Add pushes, delays, noise, friction and commands."""
         gui, session, submit = self._gui, self._session, self._session.submit
         with gui.add_folder("Push"):
             self._push_speed = gui.add_slider("Push (m/s)", 0.0, 3.0, 0.1, 0.5)
@@ -156,6 +159,15 @@ class Controls:
             for each in (self._own_command, *self._command):
                 each.on_update(self._when_user(self._give_command, "command"))
             gui.add_markdown("Keys: **I** and **K** forward and back, **J** and **L** turn, **U** and **O** sideways.")
+        with gui.add_folder("Ride"):
+            self._own_ride = gui.add_checkbox("Drive the board", False)
+            self._ride = [
+                gui.add_slider("Ride at (m/s)", 0.0, 2.0, 0.05, 1.0),
+                gui.add_slider("Curve to the left", -1.0, 1.0, 0.05, 0.0, hint="Share of the tightest curve"),
+            ]
+            for each in (self._own_ride, *self._ride):
+                each.on_update(self._when_user(self._give_ride, "command"))
+            gui.add_markdown("Keys: **I** and **K** faster and slower, **J** and **L** left and right, **U** straight.")
 
     def sync(self) -> None:
         """Show what an action has changed."""
@@ -204,7 +216,7 @@ class Controls:
             gui.add_command(label, hotkey=key).on_trigger(lambda _, action=action: submit(action))
         for key, change in KEYS.items():
             command = gui.add_command(f"Velocity command {change}", hotkey=key)
-            command.on_trigger(lambda _, change=change: submit(lambda: self._change_command(change)))
+            command.on_trigger(lambda _, key=key: submit(lambda: self._press(key)))
 
     # The rest runs in the session's thread.
 
@@ -247,6 +259,27 @@ class Controls:
     def _give_command(self) -> None:
         values = [slider.value for slider in self._command]
         self._session.choose_command((values[0], values[1], values[2]) if self._own_command.value else None)
+
+    def _give_ride(self) -> None:
+        values = [slider.value for slider in self._ride]
+        self._session.choose_command((values[0], values[1]) if self._own_ride.value else None)
+
+    def _press(self, key: str) -> None:
+        """Change the command by a key: that of a ride where the task has rides, else the velocity."""
+        if self._session.env.mdp.commands.rides:
+            self._change_ride(RIDE_KEYS[key])
+        else:
+            self._change_command(KEYS[key])
+
+    def _change_ride(self, change: tuple[float, float] | None) -> None:
+        speed, curve = self._ride
+        if change is None:
+            curve.value = 0.0
+        else:
+            speed.value = round(max(speed.min, min(speed.max, speed.value + change[0])), 2)
+            curve.value = round(max(curve.min, min(curve.max, curve.value + change[1])), 2)
+        self._own_ride.value = True
+        self._give_ride()
 
     def _change_command(self, change: tuple[float, float, float]) -> None:
         for slider, step, most in zip(self._command, change, LIMITS):

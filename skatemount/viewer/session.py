@@ -68,7 +68,7 @@ class Session:
         time: Simulated time since the start of the session, s.
         conditions: Delays, noise and friction in place of the task's.
         start: Start in place of the task's; None for the task's.
-        command: ``[3]`` velocity command in place of the task's; None for the task's.
+        command: Command in place of the task's, see `choose_command`; None for the task's.
         tally: Successes since the last change.
         rewards: Recent reward terms.
         ends: The last ends of episodes, the newest first.
@@ -92,7 +92,7 @@ class Session:
         self.time = 0.0
         self.conditions = Conditions()
         self.start: ChosenStart | None = None
-        self.command: tuple[float, float, float] | None = None
+        self.command: tuple[float, ...] | None = None
         self.board, self._given = "", list(task.overrides)
         self.error = self.message = ""
         self.ends: deque[End] = deque(maxlen=12)
@@ -222,11 +222,11 @@ class Session:
             self._apply_start(self.env)
             raise
 
-    def choose_command(self, command: tuple[float, float, float] | None) -> None:
-        """Give every world a velocity command; None for the task's.
+    def choose_command(self, command: tuple[float, ...] | None) -> None:
+        """Give every world a command; None for the task's.
 
         Args:
-            command: Forward and left, m/s, and turn left, rad/s.
+            command: See `skatemount.envs.commands.CommandGenerator.give`.
         """
         self.command = command
         self._apply_command(self.env)
@@ -326,7 +326,7 @@ class Session:
         env.set_start_transform(start.rolling)
 
     def _apply_command(self, env: MountEnv) -> None:
-        env.mdp.commands.fixed = None if self.command is None else torch.tensor(self.command, device=env.device)
+        env.mdp.commands.give(self.command)
 
     def _forget(self) -> None:
         """Forget the episodes so far."""

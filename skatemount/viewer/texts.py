@@ -40,6 +40,9 @@ def status(session: Session, speed: float | None) -> str:
         "board": f"{bx:.4f} {by:.4f} m, {'fixed' if sim.board_fixed[world] else 'free'}",
         "command": f"{command} (forward, left m/s; turn rad/s)",
     }
+    if episode.ride_command is not None:
+        _, ride_speed, curvature = episode.ride_command[world].tolist()
+        rows["ride"] = f"{ride_speed:.2f} m/s, curvature {curvature:+.2f} 1/m (left is positive)"
     lines = [
         f"<tr><td style='color:#888;padding-right:8px'>{name}</td><td id='play-{name}'>{html.escape(value)}</td></tr>"
         for name, value in rows.items()

@@ -157,7 +157,7 @@ def test_parameters_are_checked_by_the_constructor(module: Write) -> None:
         ),
         ("logger.loggers=[jsonl]", "logger.loggers=jsonl: use logger.jsonl=true"),
         ("callbacks=[plot,plot]", "callbacks: plot is there twice"),
-        ("command.mode=toward", "command.mode=toward must be one of sampled, board, zero, or module:Class of your own"),
+        ("command.mode=toward", "command.mode=toward must be one of sampled, board, zero, ride, or module:Class of"),
     ],
 )
 def test_a_wrong_class_is_one_line_that_names_its_setting(setting: str, expected: str) -> None:

@@ -58,7 +58,7 @@ def test_every_input_of_a_term_has_its_shape_and_every_setting_its_meaning(pages
     # Only a sensed state has it.
     rest.board_age = rest.ground_height
     # Only a state of worlds with boards of their own has them.
-    rest.board_sizes = torch.zeros(5, 5)
+    rest.board_sizes = torch.zeros(5, 7)
     sizes = {"N": 5, "J": 12, "F": 4, "B": len(layout.bodies), "O": 7}
     for title, name, shape in re.findall(r"^\| `(sim|episode)\.(\w+)` \| `\[(.*?)\]`", page, re.MULTILINE):
         value = (rest if title == "sim" else episode).get(name)

@@ -138,6 +138,79 @@ def test_a_fixed_command_replaces_that_of_the_settings_until_it_is_taken_back() 
     assert len({tuple(row) for row in episode.command.tolist()}) == 3
 
 
+def rider(n: int = 1, seed: int = 0, **settings: object) -> tuple[CommandGenerator, EpisodeState]:
+    """Return a source of rides on a board whose largest curvature is 0.4 1/m, and episodes."""
+    config = defaults.command(**{"mode": "ride", "standing": 0.0} | settings)
+    one = CommandGenerator(config, STEP, torch.Generator().manual_seed(seed), max_curvature=0.4)
+    return one, EpisodeState.zeros(n, defaults.LAYOUT, rides=True)
+
+
+def many(sim: SimState, n: int) -> SimState:
+    """Return copies of a state, ``[n]``."""
+    return sim[torch.zeros(n, dtype=torch.int64)]  # type: ignore[index]  # Mypy does not know tensorclass's method.
+
+
+def test_rides_are_sampled_from_their_ranges(make_state: MakeState) -> None:
+    n = 3000
+    one, episode = rider(n, speed=[0.3, 1.5], curvature=[-0.9, 0.5], standing=0.2)
+    one.update(many(make_state(), n), episode)
+    phase, speed, curvature = episode.ride_command.unbind(1)
+    straight = curvature == 0
+    assert phase.tolist() == [1.0] * n and float(straight.float().mean()) == pytest.approx(0.2, abs=0.03)
+    for values, low, high in ((speed, 0.3, 1.5), (curvature[~straight], -0.36, 0.2)):
+        assert low <= float(values.min()) < low + 0.02 and high - 0.02 < float(values.max()) <= high
+    assert episode.command[0].tolist() == pytest.approx([0.0, 0.0, 0.0]), "the command toward the board stays"
+
+
+def test_curvatures_are_shares_of_what_the_worlds_own_board_allows(make_state: MakeState) -> None:
+    sim = many(make_state(), 2)
+    sim.board_sizes = torch.tensor([[0.3, 0.1, 0.09, 0.25, 0.08, 0.25, 0.2], [0.3, 0.1, 0.09, 0.25, 0.08, 0.25, 0.6]])
+    one, episode = rider(2, curvature=[0.5, 0.5])
+    one.update(sim, episode)
+    assert episode.ride_command[:, 2].tolist() == pytest.approx([0.1, 0.3])
+
+
+@pytest.mark.parametrize(("speed", "first"), [(0.8, 0.8), (1.9, 1.5), (0.1, 0.3)])
+def test_a_board_that_rolls_keeps_its_speed_at_first(make_state: MakeState, speed: float, first: float) -> None:
+    sim = make_state(board_lin_vel=(speed, 0, 0))
+    one, episode = rider(resample=0.08, speed=[0.3, 1.5])
+    one.update(sim, episode)
+    assert float(episode.ride_command[0, 1]) == pytest.approx(first)
+    one.update(sim, episode)
+    assert float(episode.ride_command[0, 1]) == pytest.approx(first)
+    one.update(sim, episode)
+    assert float(episode.ride_command[0, 1]) != pytest.approx(first), "2 steps later another one is drawn"
+
+
+def test_a_ride_begins_after_a_second_on_the_deck_and_ends_with_it(make_state: MakeState) -> None:
+    sim = make_state()
+    one, episode = rider(ride_after=1.0)
+    steps = torch.full((1,), 7)
+    for mounted_time, rides in ((0.0, False), (0.96, False), (1.0, True), (1.04, True), (0.0, False), (1.0, True)):
+        episode.mounted_time = torch.tensor([mounted_time])
+        began = rides and not bool(episode.ride_command[0, 0])
+        one.update(sim, episode)
+        assert episode.ride_command[0, 0].tolist() == float(rides)
+        assert bool(episode.ride_command[0, 1:].any()) == rides
+        assert int(episode.ride_steps) == (7 if rides and not began else 0)
+        episode.ride_steps, episode.ride_sums = steps, torch.ones(1, 8)
+
+
+def test_the_user_drives_a_ride(make_state: MakeState) -> None:
+    one, episode = rider(ride_after=1.0)
+    one.give((0.7, -0.5))
+    one.update(make_state(), episode)
+    assert episode.ride_command.tolist() == [[0.0, 0.0, 0.0]], "a robot that is not mounted does not ride"
+    episode.mounted_time = torch.tensor([2.0])
+    one.update(make_state(), episode)
+    assert episode.ride_command[0].tolist() == pytest.approx([1.0, 0.7, -0.2])
+    one.give((0.5, 0.0, 0.1))
+    one.update(make_state(), episode)
+    assert episode.command[0].tolist() == pytest.approx([0.5, 0.0, 0.1]) and one.fixed_ride is None
+    one.give(None)
+    assert one.fixed is None and one.fixed_ride is None
+
+
 def test_same_seed_same_commands() -> None:
     def draw(seed: int) -> torch.Tensor:
         episode = EpisodeState.zeros(8, defaults.LAYOUT)
@@ -151,11 +224,14 @@ def test_same_seed_same_commands() -> None:
 @pytest.mark.parametrize(
     ("settings", "expected"),
     [
-        (dict(mode="follow"), ["command.mode=follow", "sampled, board, zero"]),
+        (dict(mode="follow"), ["command.mode=follow", "sampled, board, zero, ride"]),
         (dict(forward=[1.0, -1.0]), ["command.forward=[1.0, -1.0]", "low <= high"]),
         (dict(turn=[1.0]), ["command.turn=[1.0]", "[low, high]"]),
         (dict(resample=0.0), ["command.resample=0.0", "above 0"]),
         (dict(standing=1.5), ["command.standing=1.5", "from 0 to 1"]),
+        (dict(speed=[2.0, 1.0]), ["command.speed=[2.0, 1.0]", "low <= high"]),
+        (dict(curvature=[-1.2, 1.0]), ["command.curvature=[-1.2, 1.0]", "-1 to 1"]),
+        (dict(ride_after=-1.0), ["command.ride_after=-1.0", "from 0 to 3600 s"]),
         (dict(deadband=-0.1), ["command.deadband=-0.1", "from 0 to 20 m/s"]),
     ],
 )

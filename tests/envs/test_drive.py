@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from skatemount.envs import MountEnv
-from skatemount.envs.drive import Drive
+from skatemount.envs.drive import GAIN, MAX_PULL, Drive
 from skatemount.envs.rolling import RollingResistance
 
 # The trucks are so stiff that a robot without a policy stands for long.
@@ -79,6 +79,22 @@ def test_the_force_turns_with_the_board_and_only_a_rolling_free_board_is_driven(
     # A deck that points uphill is pushed along the floor.
     sim.board_rot = torch.tensor([[0.8, 0.0, -0.6], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8]]).expand(4, 3, 3)
     assert (Drive(True, resistance(env)).force(sim)[:, 2] == 0).all()
+
+
+def test_a_ride_is_brought_to_its_speed_and_no_other_board_is_driven(make_env: Make) -> None:
+    env = make_env("balance", 5, ["start.board_fixed=0", "command=ride"])
+    env.reset()
+    sim, episode = env.sim.clone(), env.episode.clone()
+    sim.board_rot = torch.eye(3).expand(5, 3, 3)
+    episode.board_direction = torch.tensor([[1.0], [-1.0], [1.0], [1.0], [1.0]])
+    sim.board_lin_vel = torch.tensor([0.9, 0.0, 0.9, 0.0, 0.9]).unsqueeze(1) * torch.tensor([[1.0, 0.0, 0.0]])
+    # A bit too slow, at rest and facing the other end, as fast as it can be, no ride, a fixed board.
+    episode.ride_command = torch.tensor([[1, 1.0, 0.1], [1, 0.8, 0], [1, 0.1, 0], [0, 0, 0], [1, 1.0, 0]])
+    sim.board_fixed = torch.tensor([False, False, False, False, True])
+    dry, viscous = resistance(env).dry(sim).tolist(), resistance(env).viscous
+    force = Drive(True, resistance(env)).force(sim, episode)[:, 0].tolist()
+    rolls = dry[0] + 0.9 * viscous
+    assert force == pytest.approx([rolls + GAIN * 0.1, -dry[1] - MAX_PULL, rolls - MAX_PULL, 0, 0], abs=1e-4)
 
 
 @pytest.mark.parametrize("physics", ["cpu", "warp"])

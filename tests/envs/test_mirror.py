@@ -100,7 +100,9 @@ def settings(overrides: list[str]) -> TrainConfig:
 
 @pytest.mark.parametrize("fixed", [True, False], ids=["fixed", "free"])
 @pytest.mark.parametrize(
-    "where", [["start=on_deck"], ["start=square"], ["start=beside"]], ids=["on_deck", "square", "beside"]
+    "where",
+    [["start=on_deck"], ["start=on_deck", "command=ride"], ["start=square"], ["start=beside"]],
+    ids=["on_deck", "ride", "square", "beside"],
 )
 def test_mirrored_worlds_stay_mirrored(fixed: bool, where: list[str]) -> None:
     """Two worlds, one the other's mirror image, driven by mirrored actions."""
@@ -115,6 +117,9 @@ def test_mirrored_worlds_stay_mirrored(fixed: bool, where: list[str]) -> None:
     physics.reset(torch.ones(2, dtype=torch.bool), StartState.cat([start, mirrored(start)]))
     sim = physics.state()
     episode = mdp.begin(sim)
+    if episode.ride_command is not None:
+        # A curve to the other side.
+        episode.ride_command = torch.tensor([[1.0, 0.8, 0.3], [1.0, 0.8, -0.3]])
 
     everything = ObservationTable(all_terms(), mdp.context)
     rewards = RewardTable({name: RewardTerm(weight=1.0) for name in REWARDS.names()}, mdp.context)

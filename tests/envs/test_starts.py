@@ -153,6 +153,8 @@ def test_a_free_board_rolls_either_way_and_a_fixed_one_does_not() -> None:
     assert float((speed[~fixed] > 0).float().mean()) == pytest.approx(0.5, abs=0.06)
     _, still = draw("unfixed")
     assert (still.board_speed == 0).all()
+    _, forward = draw("unfixed", ("start.board_speed=[0.2,0.5]", "start.board_fixed=0", "start.either_way=false"))
+    assert float(forward.board_speed.min()) >= 0.2
 
 
 RIDING = ["start.board_fixed=0.3", "start.board_speed=[0.3,0.8]", "start.move_with_board=true"]

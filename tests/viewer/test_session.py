@@ -211,6 +211,16 @@ def test_a_chosen_start(make_session: Callable[..., Session]) -> None:
     assert not torch.allclose(session.env.episode.start, expected, atol=1e-2)
 
 
+def test_a_ride_is_driven_in_a_task_that_rides(make_session: Callable[..., Session]) -> None:
+    riding = make_session("command=ride", "episode_length=1.4")
+    do(riding, lambda: riding.choose_command((0.6, -0.5)))
+    steps(riding, 2)
+    most = riding.env.task.config.board.max_curvature
+    torch.testing.assert_close(riding.env.episode.ride_command[0], torch.tensor([1.0, 0.6, -0.5 * most]))
+    do(riding, lambda: riding.choose_command(None))
+    assert riding.env.mdp.commands.fixed_ride is None
+
+
 def test_a_velocity_command_replaces_the_tasks(session: Session) -> None:
     do(session, lambda: session.choose_command((0.4, 0.0, -0.2)))
     steps(session, 1)

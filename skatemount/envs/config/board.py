@@ -123,6 +123,19 @@ class SkateboardConfig:
         return self.wheelbase / 2 / abs(math.tan(self.steering_angle(lean)))
 
     @property
+    def steering_length(self) -> float:
+        """Sine of the lean that a path of curvature 1 needs, m: L tan(theta) / 2; see `turning_radius`."""
+        return self.wheelbase * math.tan(self._theta) / 2
+
+    @property
+    def max_curvature(self) -> float:
+        """Largest curvature of the board's path, at the trucks' stops, 1/m: 1 / R_min; 0 for trucks that do not turn.
+
+        R_min = (L / 2) / tan(beta), with beta the `steering_angle` at `max_lean`.
+        """
+        return math.sin(self.max_lean) / self.steering_length
+
+    @property
     def _theta(self) -> float:
         return math.radians(self.truck_angle)
 

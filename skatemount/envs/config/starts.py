@@ -35,8 +35,10 @@ class StartConfig:
         step_height: Height of the deck above the robot's floor, m; that of the board if null. The robot's floor is
             raised to make the step lower.
         board_fixed: Fraction of the starts with the deck welded to the world.
-        board_speed: Speed at which a free board rolls along its x axis, in a random direction, m/s. A fixed board is at
+        board_speed: Speed at which a free board rolls along its x axis, m/s. A fixed board is at
             rest.
+        either_way: True if the direction of ``board_speed`` is drawn. False if boards roll along their x axis, which is
+            forward for a robot of yaw 0.
         board_lean: Roll of the deck of a free board about its long axis, rad; positive to the right. It is for robots
             with every foot over the deck, which lean with it; other boards are level. A board that leans and rolls
             turns as its trucks steer.
@@ -68,6 +70,7 @@ class StartConfig:
     step_height: list[float] | None = field(metadata=interval(-1, 1, "m"))
     board_fixed: float = field(metadata=number(0, 1))
     board_speed: list[float] = field(metadata=interval(0, 20, "m/s", why="the direction is drawn separately"))
+    either_way: bool
     board_lean: list[float] = field(metadata=interval(-0.5, 0.5, "rad"))
     truck_angle: list[float] | None = field(metadata=interval(-0.5, 0.5, "rad"))
     move_with_board: bool

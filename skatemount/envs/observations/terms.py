@@ -57,6 +57,13 @@ def command(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tenso
     return episode.command
 
 
+@observation(3, "ride")
+def ride_command(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
+    """Return the command of a ride, ``[N, 3]``: phase, speed in m/s and curvature in 1/m; 0 if none is commanded."""
+    command = episode.ride_command
+    return torch.zeros_like(episode.command) if command is None else command
+
+
 @observation(_joints, "joints")
 def joint_pos(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Return the joint angles relative to the default pose, ``[N, J]`` rad."""

@@ -20,22 +20,21 @@ WORLDS = 5
 """Number of worlds of the trial. No other dimension of a state has this size, so a wrong one is noticed."""
 
 
-def try_task(task: TaskDefinition, context: TaskContext, observation_size: int, device: torch.device) -> None:
+def try_task(task: TaskDefinition, context: TaskContext, episodes: Callable[[int], EpisodeState]) -> None:
     """Call the criterion, the metrics and the other functions of a task with states at rest.
 
     Args:
         task: The task.
         context: Its constants.
-        observation_size: Number of values in the policy's observation.
-        device: Device of the states.
+        episodes: Takes a number of worlds and returns episodes without any history.
 
     Raises:
         ConfigError: A function fails, or returns a value of the wrong shape or type.
     """
     # As in an environment: a function that writes into its inputs fails.
     with torch.inference_mode():
-        sim = SimState.at_rest(WORLDS, context.layout, device)
-        episode = EpisodeState.zeros(WORLDS, context.layout, observation_size, device)
+        episode = episodes(WORLDS)
+        sim = SimState.at_rest(WORLDS, context.layout, episode.step.device)
     where = f"task {task.name!r}"
     _try(f"{where}: success", lambda: task.succeeded(sim, episode, context))
     if (in_state := task.in_state) is not None:

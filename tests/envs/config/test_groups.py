@@ -22,7 +22,7 @@ def test_the_shipped_settings_are_valid(group: str, make_settings: Callable[...,
 @pytest.mark.parametrize(
     ("group", "setting", "value", "expected"),
     [
-        ("command", "mode", "follow", "command.mode=follow must be one of sampled, board, zero"),
+        ("command", "mode", "follow", "command.mode=follow must be one of sampled, board, zero, ride"),
         ("command", "turn_to", "left", "command.turn_to=left must be one of nearer, front"),
         ("command", "turn", [1.0, -1.0], "command.turn=[1.0, -1.0] must be a range [low, high] with low <= high"),
         ("command", "resample", math.inf, "command.resample=inf must be above 0 and at most 3600 s"),

@@ -45,7 +45,7 @@ def test_kicks_make_the_deck_longer_and_bend_up() -> None:
     assert 0.01 < vertices[~flat, 2].max() < 0.01 + 0.07 * math.tan(math.radians(18))
 
 
-@pytest.mark.parametrize("name", ["default", "isaac", "longboard", "mini", "paper_text"])
+@pytest.mark.parametrize("name", ["default", "isaac", "longboard", "mini", "paper_text", "carver", "surfskate"])
 def test_visuals_neither_collide_nor_weigh_anything(name: str) -> None:
     board = Skateboard(config=compose(None, [f"board={name}"]).board)
     physics = mjcf.Physics.from_mjcf_model(board.mjcf_model)

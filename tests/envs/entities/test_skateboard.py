@@ -17,7 +17,7 @@ from skatemount.envs.entities.arena import MountArena
 from skatemount.envs.entities.skateboard import WELD_SOLIMP, WELD_SOLREF, Skateboard
 from skatemount.utils.errors import ConfigError
 
-PRESETS = ("default", "paper_text", "isaac", "longboard", "mini")
+PRESETS = ("default", "paper_text", "isaac", "longboard", "mini", "carver", "surfskate")
 GRAVITY = 9.81
 ROBOT_MASS = 12.453
 ROBOT_HEIGHT = 0.30  # of the trunk above the deck; the robot's center of mass is a little lower
@@ -237,7 +237,7 @@ def robot_roll_load(config: SkateboardConfig) -> float:
     return robot + deck
 
 
-@pytest.mark.parametrize("name", ["default", "longboard", "mini"])
+@pytest.mark.parametrize("name", ["default", "longboard", "mini", "carver", "surfskate"])
 def test_boards_to_ride_hold_the_robot_up(name: str) -> None:
     config = preset(name)
     assert config.roll_stiffness > 1.15 * robot_roll_load(config)
