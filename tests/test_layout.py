@@ -55,7 +55,6 @@ TESTED_IN = {
     "profiling/report.py": "profiling/test_measure.py",
     "profiling/workload.py": "profiling/test_measure.py",
     "replay_diverged.py": "training/test_divergence.py",
-    "rendering/video.py": "test_record.py",
     "reports/curves.py": "reports/test_run_page.py",
     "reports/facts.py": "reports/test_run_page.py",
     "reports/page.py": "reports/test_run_page.py",

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+import exported
 import imageio_ffmpeg
 import numpy as np
 import pytest
@@ -20,8 +21,9 @@ from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import Evaluator
 from skatemount.evaluation.suite_task import EvaluationTask
 from skatemount.models.actor_critic import ActorCritic
-from skatemount.record import HOLD, default_folder, record
-from skatemount.rendering.playback import replay_episode
+from skatemount.record import default_folder, record
+from skatemount.rendering.film import HOLD
+from skatemount.rendering.playback import replay_episodes
 from skatemount.runs.checkpoint import save_checkpoint
 from skatemount.runs.folder import RunFolder
 from skatemount.utils.errors import ConfigError
@@ -66,7 +68,7 @@ def read(path: Path) -> tuple[dict[str, Any], list[np.ndarray]]:
 
 
 @needs_opengl
-def test_makes_a_film_and_a_filmstrip(checkpoint: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_makes_a_film_and_a_picture_of_its_moments(checkpoint: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mp4, strip = film(checkpoint, "episode=2")
     printed = capsys.readouterr().out
     assert mp4.name in printed and strip.name in printed
@@ -75,15 +77,16 @@ def test_makes_a_film_and_a_filmstrip(checkpoint: Path, capsys: pytest.CaptureFi
     assert (about["size"], about["fps"]) == ((720, 540), 25.0)
     assert len(pictures) == 3 + round(HOLD * 25)  # the last one stays
     assert pictures[0].std() > 20  # not a blank picture
-    assert (np.abs(pictures[0] - pictures[3]).max(-1) > 20).mean() > 0.01  # and it moves
+    assert (np.abs(pictures[0] - pictures[3]).max(-1) > 20).mean() > 0.005  # and it moves
     assert np.abs(pictures[4] - pictures[-1]).mean() < 1
     with Image.open(strip) as picture:
-        assert picture.size == (3 * 640 + 2 * 8, 2 * 480 + 8)  # of four frames
+        assert picture.size == (3 * 640 + 2 * 8, 36 + 2 * 480 + 8)  # of four frames
+    assert "played in 0:" in printed and "drawn in 0:" in printed
 
 
 @needs_opengl
 def test_without_a_success_it_says_so(checkpoint: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    mp4, _ = film(checkpoint, "film.width=160", "film.height=120")
+    mp4, _ = film(checkpoint, "film.width=160", "film.height=120", "searched=4")
     printed = capsys.readouterr().out
     assert "episode 0, none of the first 4 episodes succeeded" in printed
     assert "episode 0: failed, not mounted at the time limit" in printed
@@ -95,8 +98,9 @@ def test_size_speed_and_gif_are_settings(checkpoint: Path) -> None:
     settings = ["episode=1", "film.width=320", "film.height=180", "film.speed=0.5", "film.gif=true"]
     gif, mp4, _ = film(checkpoint, *settings)
     about, pictures = read(mp4)
-    assert (about["size"], about["fps"]) == ((320, 180), 12.5)
-    assert len(pictures) == 3 + round(HOLD * 12.5)
+    # Half as fast, so twice as many pictures of the three steps.
+    assert (about["size"], about["fps"]) == ((320, 180), 25.0)
+    assert len(pictures) == 6 + round(HOLD * 25)
     with Image.open(gif) as picture:
         assert (picture.format, picture.size) == ("GIF", (480, 270))
         durations = []
@@ -106,6 +110,84 @@ def test_size_speed_and_gif_are_settings(checkpoint: Path) -> None:
         assert durations[:-1] == [80] * (len(durations) - 1)
         assert durations[-1] == HOLD * 1000
         assert picture.info["loop"] == 0
+
+
+@needs_opengl
+def test_several_episodes_share_a_film(checkpoint: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    small = ["film.width=320", "film.height=180", "film.caption=false"]
+    mp4, sheet = film(checkpoint, "episodes=[3,0]", *small)
+    assert mp4.name.endswith("_episodes3-0.mp4")
+    printed = capsys.readouterr().out
+    assert "seed 0, episodes 3 and 0\n" in printed and printed.index("episode 3: ") < printed.index("episode 0: ")
+    _, pictures = read(mp4)
+    assert pictures[0].shape == (180, 320, 3) and len(pictures) == 3 + round(HOLD * 25)
+    with Image.open(sheet) as picture:
+        assert picture.size == (6 * 288 + 5 * 8, 2 * 216)
+
+
+@needs_opengl
+def test_failures_are_shown_together(checkpoint: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    small = ["film.width=320", "film.height=180"]
+    mp4, sheet = film(checkpoint, "episodes=failed", "failures=3", "searched=8", *small)
+    assert mp4.name.endswith("_failed.mp4")
+    printed = capsys.readouterr().out
+    assert "seed 0, 8 of the first 8 episodes failed: not mounted at the time limit 8\n" in printed
+    assert [f"episode {i}: failed" in printed for i in range(4)] == [True, True, True, False]
+    with Image.open(sheet) as picture:
+        assert picture.size == (6 * 288 + 5 * 8, 36 + 3 * (28 + 216))
+
+
+def test_without_a_failure_there_is_no_film(tmp_path: Path) -> None:
+    settings = ["checkpoint=pretrained:balance", "episodes=failed", "searched=3", f"output={tmp_path / 'films'}"]
+    settings += ["start.ang_vel=[0,0]", "sensing=ideal", "episode_length=1.4", *SHORT[1:]]
+    with pytest.raises(ConfigError, match="^episodes=failed: 0 of the first 3 episodes failed; searched=30 looks"):
+        record(compose_program("record", settings), settings)
+    assert list((tmp_path / "films").iterdir()) == []
+
+
+def test_a_film_that_starts_too_late_leaves_nothing(checkpoint: Path) -> None:
+    with pytest.raises(ConfigError, match=r"^film.start=1 must be below 0.12 s, where the film ends$"):
+        film(checkpoint, "episode=0", "film.start=1")
+    assert list((checkpoint.parent.parent / "videos").iterdir()) == []
+
+
+@needs_opengl
+def test_an_exported_policy_is_filmed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = [f"checkpoint={exported.folder() / 'policy.onnx'}", "episode=1", f"output={tmp_path}"]
+    settings += ["film.width=320", "film.height=240", *SHORT]
+    record(compose_program("record", settings), settings)
+    assert "policy on mount, seed 0, episode 1\n" in capsys.readouterr().out
+    assert len(read(tmp_path / "policy_mount_seed0_episode1.mp4")[1]) == 3 + round(HOLD * 25)
+
+
+@needs_opengl
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("suite", "settings", "told"),
+    [
+        ("drawn-boards", ["episodes=[3,1]", "film.background=plain"], "episodes 3 and 1"),
+        ("delay", ["episodes=4", "film.speed=0.25", "film.start=0.1", "film.end=0.3"], "episodes 0, 1, 2 and 3"),
+        ("pushed", ["episodes=failed", "failures=2", "searched=5", "film=1080p"], "5 of the first 5 episodes failed"),
+    ],
+)
+def test_films_of_suites(
+    suite: str, settings: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = [*settings, f"suite={suite}", "checkpoint=pretrained:anywhere", f"output={tmp_path}", "film.gif=true"]
+    settings += ["episode_length=0.4", *SHORT[1:]]
+    record(compose_program("record", settings), settings)
+    assert f"anywhere on {suite}, seed 0, {told}" in capsys.readouterr().out
+    gif, mp4, sheet = sorted(tmp_path.iterdir())
+    size = (1920, 1080) if "film=1080p" in settings else (720, 540)
+    about, pictures = read(mp4)
+    assert (about["size"], about["fps"]) == (size, 25.0)
+    # The slow motion shows 0.2 s in 0.8 s.
+    assert len(pictures) == (20 if suite == "delay" else 10) + round(HOLD * 25)
+    rows = 4 if suite == "delay" else 2
+    with Image.open(sheet) as picture:
+        assert picture.size == (6 * 288 + 5 * 8, 36 + rows * (28 + 216))
+    with Image.open(gif) as picture:
+        assert picture.n_frames == (11 if suite == "delay" else 6)
 
 
 @needs_opengl
@@ -159,7 +241,7 @@ def test_a_film_is_the_evaluated_episode_exactly(checkpoint: Path) -> None:
     early, late = (int(mask.nonzero()[-1]) for mask in (ends > 0, ends == 0))
     for number in (early, late, 1, 5):
         assert (number == 5) == (trial.variant_of(number)[0] == "late") or number in (early, late)
-        episode = replay_episode(trial, number)
+        (episode,) = replay_episodes(trial, [number], parts=2 if number == late else 1)
         columns, played_columns = (
             {**vars(record), **record.metrics} for record in (evaluated.records[number : number + 1], episode.record)
         )

@@ -47,7 +47,6 @@ ELSEWHERE: dict[str, str] = {
 
 INSTEAD = {
     ("train", "checkpoint"): "a training starts from init_from=<policy>, or goes on with resume=<run>",
-    ("record", "episodes"): "episode=<number> chooses the one to film",
     ("play", "episode"): "start.* and the page's sliders choose how an episode starts",
     ("evaluate", "episode"): "episodes=<number> says how many to evaluate",
 }

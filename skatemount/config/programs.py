@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
+from typing import Any
 
 from skatemount.config.bench import BenchConfig
-from skatemount.config.film import FilmConfig
+from skatemount.config.film import MAX_EPISODE, MAX_TOGETHER, FilmConfig, check_episodes
 from skatemount.config.report import PageConfig
 from skatemount.config.schema import MAX_SEED, TrainConfig, check_root
 from skatemount.config.suite import SuiteConfig
@@ -14,7 +15,6 @@ from skatemount.envs.config.task import TaskConfig
 from skatemount.utils.bounds import number
 from skatemount.utils.errors import ConfigError
 
-MAX_EPISODE = 2**40
 AGENTS = ("trained", "zero", "random")
 VIEWERS = ("auto", "page", "native")
 FORMATS = ("onnx", "torch")
@@ -86,17 +86,25 @@ class RecordConfig(PolicyConfig):
 
     Attributes:
         episode: Number of the episode to film, as the evaluation counts; null films the first success.
+        episodes: Several episodes in one film: a number films the first ones, a list names them, and ``failed`` films
+            failures; null films one.
+        searched: Episodes, from number 0 on, among which the first success and the failures are looked for.
+        failures: Failures that ``episodes=failed`` films, at most.
         film: Size, camera and speed of the film.
         output: Folder for the film.
     """
 
     episode: int | None = field(metadata=number(0, MAX_EPISODE))
+    episodes: Any
+    searched: int = field(metadata=number(1, 10**6))
+    failures: int = field(metadata=number(1, MAX_TOGETHER))
     film: FilmConfig
     output: str | None
 
     def validate(self) -> None:
         """Raise `ConfigError` for the first setting that cannot be used."""
         super().validate()
+        check_episodes(self.episodes, self.episode)
         self.film.validate("film")
 
 

@@ -59,7 +59,9 @@ def check_sizes(config: TaskConfig, memory: int | None = None, cores: int | None
     elif isinstance(config, ReportConfig):
         _check_evaluation("page.episodes", config.page.episodes, config, cores)
     elif isinstance(config, RecordConfig):
-        pictures = config.episode_length / config.physics.control_step
+        _check_evaluation("searched", config.searched, config, cores)
+        # A slow motion has as many pictures a second as a film at the usual speed.
+        pictures = config.episode_length / min(1.0, config.film.speed) / config.physics.control_step
         if (pixels := pictures * config.film.width * config.film.height) > PIXELS:
             raise ConfigError(
                 f"episode_length={config.episode_length}: a film of {format_count(pictures)} pictures of "

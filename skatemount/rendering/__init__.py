@@ -1,1 +1,1 @@
-"""Films and filmstrips."""
+"""Films, and pictures of their moments."""

@@ -71,10 +71,17 @@ class CameraPath:
 
     def __getitem__(self, i: int) -> mujoco.MjvCamera:
         """Return MuJoCo's camera of a frame."""
+        return self.at(i)
+
+    def at(self, i: float) -> mujoco.MjvCamera:
+        """Return MuJoCo's camera of a time between two frames, whose indices are the whole numbers."""
+        before, share = int(i), i % 1
+        after = min(before + 1, len(self.position) - 1)
+        position, look_at = ((1 - share) * each[before] + share * each[after] for each in (self.position, self.look_at))
         camera = mujoco.MjvCamera()
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        camera.lookat[:] = self.look_at[i]
-        camera.distance = float((self.look_at[i] - self.position[i]) @ self.axes[2])
+        camera.lookat[:] = look_at
+        camera.distance = float((look_at - position) @ self.axes[2])
         camera.azimuth, camera.elevation = self.azimuth, self.elevation
         return camera
 
@@ -94,7 +101,13 @@ class CameraPath:
 
 
 def camera_path(
-    view: View, robot: np.ndarray, board: np.ndarray, heading: float, aspect: float, time_step: float
+    view: View,
+    robot: np.ndarray,
+    board: np.ndarray,
+    heading: float,
+    aspect: float,
+    time_step: float,
+    rooms: tuple[float, float] = (LABEL_ROOM, 0.0),
 ) -> CameraPath:
     """Return the nearest smooth camera path that keeps the subjects in the picture.
 
@@ -113,6 +126,7 @@ def camera_path(
         heading: Direction of the board about the vertical, degrees.
         aspect: Width of the picture divided by its height.
         time_step: Seconds between two frames.
+        rooms: Parts at the bottom and at the top to keep free for text, as shares of half a picture.
 
     Returns:
         The path, for a field of view of `FIELD_OF_VIEW`.
@@ -130,8 +144,8 @@ def camera_path(
         shift = zoom = count
     seen = np.concatenate((robot, board), 1) @ axes.T
     edge = math.tan(math.radians(FIELD_OF_VIEW / 2))
-    low = edge * np.array([MARGIN * aspect, MARGIN - LABEL_ROOM])
-    high = edge * np.array([MARGIN * aspect, MARGIN])
+    low = edge * np.array([MARGIN * aspect, MARGIN - rooms[0]])
+    high = edge * np.array([MARGIN * aspect, MARGIN - rooms[1]])
     depth = seen[..., 2:]
     lowest = _windows(np.min, (seen[..., :2] + low * depth).min(1), shift)
     highest = _windows(np.max, (seen[..., :2] - high * depth).max(1), shift)

@@ -1,8 +1,7 @@
-"""Labels in pictures, and the filmstrip made of six of them."""
+"""Text in pictures: labels, captions and titles."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,7 +10,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 DECK, GROUND, AIR, FAILED = (46, 184, 114), (226, 230, 236), (110, 118, 130), (235, 104, 92)
-PANEL, TEXT = (24, 29, 37), (255, 255, 255)
+PANEL, TEXT, PUSH = (24, 29, 37), (255, 255, 255), (240, 178, 60)
+
+CAPTION = 0.9
+"""Size of a caption's letters, as a part of the label's."""
 
 
 @dataclass
@@ -26,6 +28,7 @@ class Frame:
         state: The task's word for the state of the robot, such as ``mounted``; empty if it is not in it.
         qpos: ``[nq]`` generalized positions.
         mocap_pos: ``[nmocap, 3]`` m.
+        push: Change of the trunk's velocity by a push a moment ago, m/s; 0 for none.
         outcome: The end of the episode in words, in its last frame only.
         succeeded: Whether that end is a success.
     """
@@ -37,6 +40,7 @@ class Frame:
     state: str
     qpos: np.ndarray
     mocap_pos: np.ndarray
+    push: float = 0.0
     outcome: str = ""
     succeeded: bool = False
 
@@ -47,7 +51,7 @@ class Frame:
 
 
 def draw_overlay(picture: Image.Image, frame: Frame) -> Image.Image:
-    """Write the time, the contacts of the feet, and in the last frame the outcome into a picture.
+    """Write the time, the contacts of the feet, a push, and in the last frame the outcome into a picture.
 
     A foot on the deck is green, one on anything else white, and one in the air gray. At the start nothing is known of
     the contacts, as physics has made no step yet: all feet have a white outline.
@@ -60,17 +64,19 @@ def draw_overlay(picture: Image.Image, frame: Frame) -> Image.Image:
         A picture of the same size.
     """
     result = picture.convert("RGBA")
-    size = max(5, min(round(picture.height * 0.038), picture.width // 26))
+    size = _letters(*picture.size)
     margin = round(size * 0.7)
     panel = _contacts(frame, size)
     bottom = picture.height - margin - panel.height
     result.alpha_composite(panel, (margin, bottom))
-    if frame.outcome:
+    said = frame.outcome or (f"push {frame.push:.2f} m/s" if frame.push else "")
+    if said:
         left, room = 2 * margin + panel.width, picture.width - panel.width - 3 * margin
-        if _font(size).getlength(frame.outcome) + 2 * size > 1.5 * room:
+        if _font(size).getlength(said) + 2 * size > 1.5 * room:
             left, room = margin, picture.width - 2 * margin
             bottom -= panel.height + margin
-        result.alpha_composite(_outcome(frame, size, panel.height, room), (left, bottom))
+        ink = PUSH if not frame.outcome else DECK if frame.succeeded else FAILED
+        result.alpha_composite(_line(said, size, panel.height, room, ink), (left, bottom))
     return result.convert("RGB")
 
 
@@ -123,54 +129,68 @@ def _contacts(frame: Frame, size: int) -> Image.Image:
     return _panel((f"{frame.time:.2f} s", tuple(frame.legs), states, frame.word), size)
 
 
-def _outcome(frame: Frame, size: int, height: int, room: int) -> Image.Image:
-    """Return the panel beside or above it: the end of the episode, in letters so small that ``room`` pixels do."""
-    while size > 5 and _font(size).getlength(frame.outcome) + 2 * size > room:
+def draw_caption(picture: Image.Image, text: str) -> Image.Image:
+    """Write a line of text into the upper left corner of a picture.
+
+    Args:
+        picture: The picture; stays unchanged.
+        text: The line; empty for none. It becomes smaller, and then loses its beginning, if it is too long.
+
+    Returns:
+        A picture of the same size.
+    """
+    if not text:
+        return picture
+    result = picture.convert("RGBA")
+    size = round(CAPTION * _letters(*picture.size))
+    margin = round(size * 0.7)
+    panel = _line(text, size, round(size * 1.7), picture.width - 2 * margin, TEXT)
+    result.alpha_composite(panel, (margin, margin))
+    return result.convert("RGB")
+
+
+def draw_title(text: str, width: int, height: int, ink: tuple[int, int, int] = TEXT) -> Image.Image:
+    """Return a bar with a line of text."""
+    bar = Image.new("RGB", (width, height), PANEL)
+    if text:
+        size = max(5, round(height * 0.55))
+        line = _line(text, size, height, width - size, ink)
+        bar.paste(line.convert("RGB"), (size // 2, 0), line)
+    return bar
+
+
+def _line(text: str, size: int, height: int, room: int, ink: tuple[int, int, int]) -> Image.Image:
+    """Return a panel with a line of text that takes at most ``room`` pixels."""
+    smallest = max(5, round(size * 0.6))
+    while size > smallest and _font(size).getlength(text) + 2 * size > room:
         size -= 1
-    width = min(room, round(_font(size).getlength(frame.outcome)) + 2 * size)
+    whole = text
+    while len(whole) > 1 and _font(size).getlength(text) + 2 * size > room:
+        whole = whole[1:]
+        text = "…" + whole
+    width = min(room, round(_font(size).getlength(text)) + 2 * size)
     panel = Image.new("RGBA", (width * 2, height * 2), (0, 0, 0, 0))
     draw = ImageDraw.Draw(panel)
     draw.rounded_rectangle((0, 0, panel.width - 1, panel.height - 1), radius=height // 2, fill=(*PANEL, 205))
-    ink = DECK if frame.succeeded else FAILED
-    draw.text((width, height), frame.outcome, font=_font(size * 2), fill=ink, anchor="mm")
+    draw.text((width, height), text, font=_font(size * 2), fill=ink, anchor="mm")
     return panel.resize((width, height), Image.Resampling.LANCZOS)
 
 
-def choose_frames(frames: Sequence[Frame], count: int = 6) -> list[int]:
-    """Choose the frames of a filmstrip.
-
-    These are the first and the last frame, and between them frames at equal distances: from the start to half a second
-    after the robot has come to the task's state for good, or to the end if it has not.
+def rooms(size: tuple[int, int], caption: bool) -> tuple[float, float]:
+    """Return the parts of a picture that label and caption take, as shares of half its height.
 
     Args:
-        frames: The episode.
-        count: Number of frames, at least 2.
-
-    Returns:
-        Indices in order; fewer than ``count`` only if the episode is shorter.
+        size: Width and height of the picture, pixels.
+        caption: Whether there is a caption.
     """
-    last = len(frames) - 1
-    standing = last
-    while standing > 0 and frames[standing - 1].state and frames[last].state:
-        standing -= 1
-    if frames[last].state:
-        settled = frames[standing].time + 0.5
-        end = next((i for i, m in enumerate(frames) if m.time >= settled), last)
-        chosen = [round(i * end / (count - 2)) for i in range(count - 1)] + [last]
-    else:
-        chosen = [round(i * last / (count - 1)) for i in range(count)]
-    return sorted(set(chosen))
+    letters, half = _letters(*size), size[1] / 2
+    # Panel and margin of the label, and of the caption, whose letters are smaller.
+    return 3.2 * letters / half, ((2.4 * round(CAPTION * letters) + 1) / half if caption else 0.0)
 
 
-def filmstrip(pictures: Sequence[Image.Image], columns: int = 3, gap: int = 8) -> Image.Image:
-    """Put pictures of one size row by row into one, with narrow white gaps."""
-    w, h = pictures[0].size
-    rows = math.ceil(len(pictures) / columns)
-    columns = min(columns, len(pictures))
-    strip = Image.new("RGB", (columns * (w + gap) - gap, rows * (h + gap) - gap), "white")
-    for i, picture in enumerate(pictures):
-        strip.paste(picture, (i % columns * (w + gap), i // columns * (h + gap)))
-    return strip
+def _letters(width: int, height: int) -> int:
+    """Return the size of the letters in a picture, pixels: in small ones they take a larger part."""
+    return max(5, min(round(height * 0.025 + 6), width // 26))
 
 
 @lru_cache(maxsize=64)

@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import mujoco
 import numpy as np
 import torch
+from torch import Tensor
 
+from skatemount.agents.policy import Policy
 from skatemount.envs import success
+from skatemount.envs.physics.base import Physics
 from skatemount.evaluation.evaluator import Evaluator
 from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.results import in_words
 from skatemount.evaluation.suite_task import EvaluationTask
 from skatemount.rendering.overlay import Frame
 
-SEARCHED = 256
-"""Episodes, from number 0 on, among which the first success is looked for."""
-
 NEAR_GROUND = 0.005
 """Height of a foot above the ground, m, up to which a label calls it on the ground: a foot that bounces or is just
 lifted has no contact force, and it is not in the air for a viewer."""
+PUSH_TIME = 0.4
+"""Time for which a label tells of a push, s."""
 
 
 @dataclass
@@ -31,49 +35,156 @@ class Episode:
 
     Attributes:
         number: Its number in the evaluation.
-        frames: The start and every control step after it.
+        variant: Name of the suite's variant; empty if it has none.
+        frames: The start and every control step after it, each in ``parts`` frames.
+        parts: Frames of a control step.
         model: The scene with everything that is visible.
         feet: The feet's geom ids.
-        robot: ``[T, K, 3]`` points around the robot in each frame, m.
+        robot: ``[T, K, 3]`` points around the robot after each control step, m.
         board: ``[T, L, 3]`` points around the board, m.
+        deck: Length and width of the deck in words if boards vary from episode to episode, else empty.
         heading: Direction of the board at the start, degrees.
-        control_step: Seconds between two frames.
+        control_step: Seconds of a control step.
         record: Its result, a batch of one.
         summary: Its result in words.
         choice: The reason why it was chosen, in words; empty if the user named it.
     """
 
     number: int
+    variant: str
     frames: list[Frame]
+    parts: int
     model: mujoco.MjModel
     feet: list[int]
     robot: np.ndarray
     board: np.ndarray
+    deck: str
     heading: float
     control_step: float
     record: EpisodeRecords
     summary: str
     choice: str = ""
 
+    @property
+    def time_step(self) -> float:
+        """Seconds between two frames."""
+        return self.control_step / self.parts
 
-class _Tape:
-    """Keeps the poses and contacts of some worlds at every step of a round.
+
+def replay_episodes(trial: EvaluationTask, numbers: Sequence[int], parts: int = 1) -> list[Episode]:
+    """Play episodes of a trial once more, exactly as they were evaluated.
+
+    Every world of their rounds is stepped again, because the random draws of one world depend on the others.
+
+    Args:
+        trial: The policy and its test.
+        numbers: Their numbers, from 0.
+        parts: Frames of a control step; more of them make a smooth slow motion. Each is a state of the simulation.
+
+    Returns:
+        The episodes, in the order of their numbers in ``numbers``.
+    """
+    found: dict[int, Episode] = {}
+    turns: dict[str, list[int]] = {}
+    for number in numbers:
+        variant, turn = trial.variant_of(number)
+        turns.setdefault(variant, []).append(turn)
+    for variant, wanted in turns.items():
+        with contextlib.closing(trial.evaluator(variant)) as evaluator:
+            size = evaluator.env.num_worlds
+            for turn in sorted({each // size for each in wanted}):
+                worlds = sorted({each % size for each in wanted if each // size == turn})
+                tape = Tape(evaluator, worlds, parts)
+                records = trial.numbered(variant, tape.play(trial.agent.policy, turn))
+                for world in worlds:
+                    episode = make_episode(evaluator, variant, tape, world, records[world : world + 1])
+                    found[episode.number] = episode
+    return [found[number] for number in numbers]
+
+
+class Tape:
+    """Keeps the poses and contacts of some worlds throughout a round.
 
     Args:
         evaluator: Runs the round.
-        worlds: The worlds to keep.
+        worlds: Indices of the worlds to keep, in order.
+        parts: Poses to keep of each control step; a divisor of the physics steps in it.
     """
 
-    def __init__(self, evaluator: Evaluator, worlds: slice):
-        self._env, self._worlds = evaluator.env, worlds
+    def __init__(self, evaluator: Evaluator, worlds: Sequence[int], parts: int = 1):
+        self.parts = parts
+        self._evaluator, self._env = evaluator, evaluator.env
+        self._range = slice(worlds[0], worlds[-1] + 1)
+        self._row = {world: i for i, world in enumerate(worlds)}
+        self._worlds = np.array(worlds)
         self._poses: list[tuple[np.ndarray, np.ndarray]] = []
         self._contacts: list[np.ndarray] = []
+        self._pushes: list[np.ndarray] = []
 
-    def note(self, step: int) -> None:
+    def __len__(self) -> int:
+        """Return the number of worlds that are kept."""
+        return len(self._worlds)
+
+    def play(self, policy: Policy, number: int) -> EpisodeRecords:
+        """Run a round of the evaluator, and return its records."""
+        env, physics = self._env, self._env.physics
+        env.physics = cast("Physics", _Watched(physics, self))
+        try:
+            return self._evaluator.round(policy, number, self._note)
+        finally:
+            env.physics = physics
+
+    def frames(self, world: int, duration: float) -> list[Frame]:
+        """Return the frames of an episode.
+
+        Args:
+            world: One of the worlds that were kept.
+            duration: Of the episode, s.
+        """
+        context, row = self._env.mdp.context, self._row[world]
+        step, legs = context.control_step, context.layout.legs
+        feet, word = len(legs), self._env.mdp.definition.state_word
+        frames = []
+        for i in range(round(duration / step) * self.parts + 1):
+            # The contacts between two control steps are not measured: those of the coming one stand for them.
+            contacts = self._contacts[-(-i // self.parts)][row]
+            qpos, mocap_pos = self._poses[i]
+            frame = Frame(
+                time=i * step / self.parts,
+                legs=legs,
+                on_deck=contacts[:feet].tolist(),
+                touching=contacts[feet : 2 * feet].tolist(),
+                state=word if contacts[2 * feet] else "",
+                qpos=qpos[row],
+                mocap_pos=mocap_pos[row],
+                push=self._push_before(i, row),
+            )
+            frames.append(frame)
+        return frames
+
+    def _push_before(self, i: int, row: int) -> float:
+        """Return the speed of the last push before a frame, m/s; 0 if it was longer ago than `PUSH_TIME`."""
+        step, known = -(-i // self.parts), round(PUSH_TIME / self._env.mdp.context.control_step)
+        speeds = [each[row] for each in self._pushes[max(0, step - known) : step] if each[row]]
+        return float(speeds[-1]) if speeds else 0.0
+
+    def keep_pose(self) -> None:
+        """Keep the present poses."""
+        qpos, mocap_pos = self._env.physics.poses(self._range)
+        rows = self._worlds - self._range.start
+        self._poses.append((qpos[rows], mocap_pos[rows]))
+
+    def keep_push(self, mask: Tensor, velocity: Tensor) -> None:
+        """Keep the speed of the pushes of the coming control step, m/s."""
+        speed = torch.linalg.vector_norm(velocity.cpu(), dim=-1).numpy()
+        self._pushes[-1] += np.where(mask.cpu().numpy(), speed, 0.0)[self._worlds]
+
+    def _note(self, step: int) -> None:
         """Keep the present state; called at the start and after every control step."""
-        env, worlds = self._env, self._worlds
+        env = self._env
         sim, episode = env.sim, env.episode
-        self._poses.append(env.physics.poses(worlds))
+        self.keep_pose()
+        self._pushes.append(np.zeros(len(self._worlds)))
         off_deck = success.feet_off_deck_contact(sim)
         # Success forgives a foot that leaves the deck for a moment, and so does the label.
         on_deck = (episode.off_time <= success.FLICKER + 1e-3) & ~off_deck
@@ -83,134 +194,75 @@ class _Tape:
         state = torch.zeros_like(episode.mounted)
         if task.in_state is not None:
             state = task.in_state(sim, episode, env.mdp.context)
-        self._contacts.append(torch.cat((on_deck, touching, state.unsqueeze(1)), 1)[worlds].cpu().numpy())
-
-    def frames(self, row: int, duration: float) -> list[Frame]:
-        """Return the frames of an episode.
-
-        Args:
-            row: Of the worlds that were kept.
-            duration: Of the episode, s.
-        """
-        context = self._env.mdp.context
-        step, legs = context.control_step, context.layout.legs
-        feet, word = len(legs), self._env.mdp.definition.state_word
-        return [
-            Frame(
-                time=i * step,
-                legs=legs,
-                on_deck=contacts[row, :feet].tolist(),
-                touching=contacts[row, feet : 2 * feet].tolist(),
-                state=word if contacts[row, 2 * feet] else "",
-                qpos=qpos[row],
-                mocap_pos=mocap_pos[row],
-            )
-            for i, ((qpos, mocap_pos), contacts) in enumerate(zip(self._poses, self._contacts, strict=True))
-            if i <= round(duration / step)
-        ]
+        self._contacts.append(torch.cat((on_deck, touching, state.unsqueeze(1)), 1)[self._worlds].cpu().numpy())
 
 
-def replay_episode(trial: EvaluationTask, number: int | None = None) -> Episode:
-    """Play an episode of a trial once more, exactly as it was evaluated.
+class _Watched:
+    """An engine that tells a tape of its pushes, and of the poses within its control steps.
 
-    Every world of its round is stepped again, because the random draws of one world depend on the others.
+    The physics steps are the same, whether an engine is asked for them at once or in parts.
 
     Args:
-        trial: The policy and its test.
-        number: The episode's, from 0; none for the first success among the first `SEARCHED` episodes of the first
-            round, or episode 0 if there is none.
-
-    Returns:
-        The episode.
+        physics: The engine.
+        tape: The tape.
     """
-    if number is not None:
-        variant, turn = trial.variant_of(number)
-        return _play(trial, variant, turn)
-    return _first_success(trial)
+
+    def __init__(self, physics: Physics, tape: Tape):
+        self._physics, self._tape = physics, tape
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._physics, name)
+
+    def step(self, targets: Tensor, substeps: int) -> None:
+        """Advance every world; see `Physics.step`."""
+        parts = self._tape.parts
+        for part in range(parts):
+            if part:
+                self._tape.keep_pose()
+            self._physics.step(targets, substeps // parts)
+
+    def push(self, mask: Tensor, velocity: Tensor, board: bool = False) -> None:
+        """Push the robots or the boards; see `Physics.push`."""
+        self._tape.keep_push(mask, velocity)
+        self._physics.push(mask, velocity, board)
 
 
-def _play(trial: EvaluationTask, variant: str, turn: int) -> Episode:
-    """Play an episode, given by its number among those of its variant."""
-    evaluator = trial.evaluator(variant)
-    try:
-        rounds, world = divmod(turn, evaluator.env.num_worlds)
-        tape = _Tape(evaluator, slice(world, world + 1))
-        records = evaluator.round(trial.agent.policy, rounds, tape.note)
-        record = trial.numbered(variant, records[world : world + 1])
-        return _episode(evaluator, world, record, tape.frames(0, float(record.duration)))
-    finally:
-        evaluator.close()
+def make_episode(evaluator: Evaluator, variant: str, tape: Tape, world: int, record: EpisodeRecords) -> Episode:
+    """Return an episode that a tape has kept.
 
-
-def _first_success(trial: EvaluationTask) -> Episode:
-    """Play the first round of each variant and return the first success, or episode 0."""
-    found: Episode | None = None
-    first: Episode | None = None
-    played: list[EpisodeRecords] = []
-    ends: list[str] = []  # in words
-    for i, variant in enumerate(trial.configs):
-        # Variants take turns: the lowest number of variant i is i.
-        if found is not None and found.number < i or i >= SEARCHED:
-            break
-        evaluator = trial.evaluator(variant)
-        try:
-            count = min(evaluator.env.num_worlds, math.ceil((SEARCHED - i) / len(trial.configs)))
-            tape = _Tape(evaluator, slice(0, count))
-            records = trial.numbered(variant, evaluator.round(trial.agent.policy, 0, tape.note)[:count])
-            played.append(records)
-            ends = [in_words(end, evaluator.env.mdp.definition) for end in evaluator.end_names]
-            rows = records.success.nonzero().flatten().tolist()
-            for row in rows[:1]:
-                if found is None or int(records.number[row]) < found.number:
-                    found = _episode(
-                        evaluator, row, records[row : row + 1], tape.frames(row, float(records.duration[row]))
-                    )
-            if i == 0 and found is None:
-                first = _episode(evaluator, 0, records[:1], tape.frames(0, float(records.duration[0])))
-        finally:
-            evaluator.close()
-    records = EpisodeRecords.cat(played)
-    records = records[records.number.argsort()]
-    if found is None:
-        assert first is not None
-        first.choice = f"none of the first {len(records)} episodes succeeded"
-        return first
-    found.choice = "the first success" + _failures_before(records, found.number, ends)
-    return found
-
-
-def _failures_before(records: EpisodeRecords, number: int, ends: Sequence[str]) -> str:
-    """Return the failures with lower numbers in words, each cause with its count; nothing if there are none."""
-    if not number:
-        return ""
-    causes: dict[str, int] = {}
-    for end in records.end[records.number < number].tolist():
-        cause = ends[end]
-        causes[cause] = causes.get(cause, 0) + 1
-    which = "episode 0" if number == 1 else f"episodes 0 to {number - 1}"
-    said = ", ".join(cause if number == 1 else f"{cause} {count}" for cause, count in causes.items())
-    return f"; {which} failed: {said}"
-
-
-def _episode(evaluator: Evaluator, world: int, record: EpisodeRecords, frames: list[Frame]) -> Episode:
+    Args:
+        evaluator: Ran the round.
+        variant: Name of the variant.
+        tape: The tape.
+        world: The episode's world.
+        record: Its result, a batch of one.
+    """
     env = evaluator.env
     scene = env.task.scene
+    frames = tape.frames(world, float(record.duration))
     model, _ = env.physics.render_data(world)
     robot, board = (
         int(model.body_rootid[model.body(frame.full_identifier).id]) for frame in (scene.robot_frame, scene.board_frame)
     )
-    points = visible_points(model, frames, (robot, board))
+    points = visible_points(model, frames[:: tape.parts], (robot, board))
     summary = _summary(evaluator, record, frames[-1])
     succeeded = bool(record.success)
     frames[-1].succeeded = succeeded
     frames[-1].outcome = "success" if succeeded else f"failed: {_end(evaluator, record)}"
+    deck = ""
+    if env.boards is not None:
+        size = env.boards.of_world[world]
+        deck = f"deck {100 * size.deck_length:.0f} x {100 * size.deck_width:.0f} cm"
     return Episode(
         number=int(record.number),
+        variant=variant,
         frames=frames,
+        parts=tape.parts,
         model=model,
         feet=[model.geom(geom.full_identifier).id for geom in scene.robot.foot_geoms],
         robot=points[0],
         board=points[1],
+        deck=deck,
         heading=_heading(model, frames[0], board),
         control_step=env.mdp.context.control_step,
         record=record,

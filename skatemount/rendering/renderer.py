@@ -24,6 +24,13 @@ SHADOW_SCALE = 0.13
 """Resolution of the shadow, and its part of the light's cone: 3 mm on the floor, as the light follows the robot."""
 
 
+PLAIN = (0.92, 0.93, 0.94)
+"""Color of the sky, and of the lit floor, in front of a plain background."""
+
+GLOW, LIT = 1.2, 2.2
+"""Light that a plain floor gives by itself, for an even color and soft shadows, and the same with that of the lamps."""
+
+
 class EpisodeRenderer:
     """Draws frames of an episode.
 
@@ -32,6 +39,7 @@ class EpisodeRenderer:
         feet: Geom ids of the feet; they are painted green while they are on the deck.
         width: Pixels.
         height: Pixels.
+        plain: Whether floor and sky have one color, without tiles.
 
     Attributes:
         size: Width and height.
@@ -40,9 +48,11 @@ class EpisodeRenderer:
         ConfigError: There is no OpenGL.
     """
 
-    def __init__(self, model: mujoco.MjModel, feet: Sequence[int], width: int, height: int):
+    def __init__(self, model: mujoco.MjModel, feet: Sequence[int], width: int, height: int, plain: bool = False):
         self.size = (width, height)
         self._model = model = copy.copy(model)
+        if plain:
+            _make_plain(model)
         self._data = mujoco.MjData(model)
         self._feet = [_same_place(model, foot) for foot in feet]
         self._lights = np.flatnonzero(model.light_castshadow)
@@ -80,6 +90,22 @@ class EpisodeRenderer:
     def close(self) -> None:
         """Free the OpenGL context."""
         self._renderer.close()
+
+
+def _make_plain(model: mujoco.MjModel) -> None:
+    """Give the visible floor and the sky one color."""
+    floor = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_rgba[:, 3] > 0) & (model.geom_matid >= 0)
+    for material in np.unique(model.geom_matid[floor]):
+        model.mat_texid[material] = -1
+        model.mat_rgba[material, :3] = np.array(PLAIN) / LIT
+        model.mat_emission[material] = GLOW
+        model.mat_specular[material] = model.mat_reflectance[material] = 0.0
+    model.light_exponent[:] = 0.0  # even light, however far the floor is
+    model.vis.rgba.haze[:3] = model.vis.rgba.fog[:3] = PLAIN
+    for texture in np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX):
+        start, channels = model.tex_adr[texture], model.tex_nchannel[texture]
+        size = model.tex_height[texture] * model.tex_width[texture] * channels
+        model.tex_data[start : start + size] = np.tile(np.round(255 * np.array(PLAIN)), size // channels)
 
 
 def _same_place(model: mujoco.MjModel, geom: int) -> list[int]:

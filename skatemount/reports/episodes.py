@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import math
 import tempfile
@@ -10,7 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 from PIL import Image
 
@@ -28,9 +26,6 @@ from skatemount.utils.devices import available_cores
 
 MAX_RATE = 30.0
 """Pictures a second of a film; of a faster control rate only every so many steps are shown."""
-
-HOLD = 1.0
-"""Seconds that the last picture is shown."""
 
 
 @dataclass
@@ -170,31 +165,14 @@ def film(evaluated: Evaluated, number: int, kind: str, width: int) -> Film:
     Raises:
         ConfigError: There is no OpenGL, or no ffmpeg.
     """
-    from skatemount.rendering import overlay
-    from skatemount.rendering.camera import VIEWS, camera_path
-    from skatemount.rendering.playback import replay_episode
-    from skatemount.rendering.renderer import EpisodeRenderer
-    from skatemount.rendering.video import mp4_writer
+    from skatemount.rendering.film import default_film, write_film
+    from skatemount.rendering.playback import replay_episodes
 
-    episode = replay_episode(evaluated.task, number)
-    height = width * 3 // 4
-    rate = 1 / episode.control_step
-    every = math.ceil(rate / MAX_RATE - 1e-6)
-    rate /= every
-    last = len(episode.frames) - 1
-    path = camera_path(VIEWS["follow"], episode.robot, episode.board, episode.heading, width / height,
-                       episode.control_step)  # fmt: skip
-    with contextlib.ExitStack() as stack:
-        painter = EpisodeRenderer(episode.model, episode.feet, width, height)
-        stack.callback(painter.close)
-        file = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "film.mp4"
-        with mp4_writer(file, rate, painter.size) as writer:
-            for i, frame in enumerate(episode.frames):
-                if i % every and i != last:
-                    continue
-                picture = overlay.draw_overlay(painter.draw(frame, path[i]), frame)
-                for _ in range(max(1, round(HOLD * rate)) if i == last else 1):
-                    writer.send(np.asarray(picture).tobytes())
+    (episode,) = replay_episodes(evaluated.task, [number])
+    settings = default_film(width=width, height=width * 3 // 4, caption=False)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "film.mp4"
+        picture = write_film([episode], settings, "", file, max_rate=MAX_RATE)
         data = file.read_bytes()
     return Film(
         title=f"{evaluated.result.name}, episode {number}",
@@ -216,21 +194,12 @@ def six_moments(task: EvaluationTask, width: int = 480) -> tuple[str, bytes]:
     Raises:
         ConfigError: There is no OpenGL.
     """
-    from skatemount.rendering import overlay
-    from skatemount.rendering.camera import VIEWS, camera_path
-    from skatemount.rendering.playback import replay_episode
-    from skatemount.rendering.renderer import EpisodeRenderer
+    from skatemount.rendering.film import default_film, moments_sheet
+    from skatemount.rendering.search import first_success
 
-    episode = replay_episode(task)
-    height = width * 3 // 4
-    path = camera_path(VIEWS["follow"], episode.robot, episode.board, episode.heading, width / height,
-                       episode.control_step)  # fmt: skip
-    painter = EpisodeRenderer(episode.model, episode.feet, width, height)
-    with contextlib.closing(painter):
-        chosen = overlay.choose_frames(episode.frames)
-        pictures = [overlay.draw_overlay(painter.draw(episode.frames[i], path[i]), episode.frames[i]) for i in chosen]
+    episode = first_success(task)
     caption = f"{task.agent.name} on {task.name}, episode {episode.number}: {episode.summary}"
-    return caption, _jpeg(overlay.filmstrip(pictures))
+    return caption, _jpeg(moments_sheet([episode], default_film(caption=False), "", width))
 
 
 def films_of_run(folder: Path | None) -> list[Film]:

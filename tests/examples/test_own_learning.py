@@ -21,7 +21,7 @@ from skatemount.envs import MountEnv
 from skatemount.evaluation.evaluator import Evaluator, deterministic
 from skatemount.evaluation.suite_task import EvaluationTask
 from skatemount.record import record
-from skatemount.rendering.playback import replay_episode
+from skatemount.rendering.playback import replay_episodes
 from skatemount.runs.checkpoint import load_training_state
 from skatemount.runs.metrics import read_metrics
 from skatemount.training.resume import resume_config
@@ -187,7 +187,7 @@ def test_a_policy_with_memory_is_saved_evaluated_and_played(make: Callable[..., 
     (task,) = EvaluationTask.prepare(compose_program("evaluate", given), given)
     first, second = task.evaluate(8), task.evaluate(8)
     assert torch.equal(first.records.duration, second.records.duration)
-    episode = replay_episode(task, 5)
+    (episode,) = replay_episodes(task, [5])
     assert episode.record.duration == first.records.duration[5]
     pair = SwitchingPolicy(agent.networks, agent.networks, torch.arange(agent.networks.gru.gru.input_size), 0.5)
     evaluator = Evaluator(task.configs[""], num_worlds=4, seed=3)

@@ -1,4 +1,4 @@
-"""Labels and filmstrips."""
+"""Labels, captions and titles."""
 
 from __future__ import annotations
 
@@ -7,7 +7,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from skatemount.rendering.overlay import AIR, DECK, FAILED, GROUND, Frame, choose_frames, draw_overlay, filmstrip
+from skatemount.rendering.overlay import (
+    AIR,
+    DECK,
+    FAILED,
+    GROUND,
+    PUSH,
+    TEXT,
+    Frame,
+    draw_caption,
+    draw_overlay,
+    draw_title,
+    rooms,
+)
 
 
 def moment(
@@ -47,34 +59,6 @@ def test_the_label_stays_within_a_picture_that_is_left_as_it_was() -> None:
     assert count(result, DECK) > count(plain, DECK)  # the word
 
 
-def test_a_filmstrip_shows_the_mounting_closely() -> None:
-    episode = [moment(i * 0.1, mounted=i >= 16) for i in range(101)]
-    chosen = choose_frames(episode)
-    assert len(chosen) == 6
-    assert (chosen[0], chosen[-1]) == (0, 100)
-    assert chosen[-2] == 21  # half a second after it
-
-
-def test_a_filmstrip_of_a_failure_is_even() -> None:
-    # Mounted for a while, but not in the end.
-    episode = [moment(i * 0.1, mounted=20 < i < 40) for i in range(51)]
-    assert choose_frames(episode) == [0, 10, 20, 30, 40, 50]
-
-
-def test_short_episodes_show_each_moment_once() -> None:
-    assert choose_frames([moment(i * 0.1) for i in range(3)]) == [0, 1, 2]
-    assert choose_frames([moment(i * 0.1, mounted=True) for i in range(2)]) == [0, 1]
-
-
-def test_filmstrip_goes_row_by_row() -> None:
-    colors = [(i * 40, 0, 0) for i in range(6)]
-    strip = filmstrip([Image.new("RGB", (30, 20), c) for c in colors], columns=3, gap=2)
-    assert strip.size == (3 * 30 + 2 * 2, 2 * 20 + 2)
-    corners = [strip.getpixel((32 * (i % 3), 22 * (i // 3))) for i in range(6)]
-    assert corners == colors
-    assert strip.getpixel((31, 0)) == (255, 255, 255)
-
-
 def test_nothing_is_said_of_contacts_at_the_start() -> None:
     picture = Image.new("RGB", (640, 480), (120, 10, 10))
     start = draw_overlay(picture, moment(time=0.0, mounted=True, deck="1100"))
@@ -103,3 +87,35 @@ def test_a_label_fits_into_a_picture_of_any_size(size: tuple[int, int]) -> None:
     assert changed.min(0)[0] > 0.6 * size[1]
     assert changed.max(0)[0] < size[1] - 1
     assert changed.max(0)[1] < size[0] - 1
+
+
+def test_a_push_is_told_until_the_episode_ends() -> None:
+    picture = Image.new("RGB", (640, 480), (120, 10, 10))
+    assert count(draw_overlay(picture, moment(push=0.31)), PUSH) > 0 == count(draw_overlay(picture, moment()), PUSH)
+    over = draw_overlay(picture, moment(push=0.31, outcome="failed: robot fell"))
+    assert count(over, PUSH) == 0 < count(over, FAILED)
+
+
+LONG = "a run with a very long name, which somebody gave it, on approach-unfixed, seed 0, episode 12, largest push 0.5"
+
+
+@pytest.mark.parametrize("size", [(160, 120), (356, 251), (720, 540), (1920, 1080)])
+@pytest.mark.parametrize("text", ["episode 7", LONG])
+def test_a_caption_takes_the_room_at_the_top_that_is_kept_free(size: tuple[int, int], text: str) -> None:
+    picture = Image.new("RGB", size, (120, 10, 10))
+    changed = np.argwhere((np.asarray(draw_caption(picture, text)) != (120, 10, 10)).any(-1))
+    assert 0 < changed.min() and changed.max(0)[1] < size[0] - 1
+    assert changed.max(0)[0] < rooms(size, True)[1] * size[1] / 2
+    assert rooms(size, False)[1] == 0
+    labeled = draw_overlay(picture, moment(12.34, mounted=True, deck="1111"))
+    changed = np.argwhere((np.asarray(labeled) != (120, 10, 10)).any(-1))
+    assert changed.min(0)[0] >= size[1] - rooms(size, True)[0] * size[1] / 2 - 1
+    assert draw_caption(picture, "") is picture
+
+
+def test_a_title_is_a_bar_with_text() -> None:
+    bar, empty = draw_title("six moments", 400, 30), draw_title("", 400, 30)
+    assert bar.size == empty.size == (400, 30)
+    assert count(bar, TEXT) > 0 == count(empty, TEXT)
+    red = draw_title(LONG, 400, 30, FAILED)
+    assert count(red, FAILED, 30) > 0 == count(red, TEXT, 30)

@@ -1,31 +1,21 @@
-"""Episodes played once more: the choice of one, and the labels and points that a film is made of."""
+"""Episodes played once more, and the labels and points that a film is made of."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
+from filmed import filmed
 
-from skatemount.config import compose_program
-from skatemount.config.suite import SuiteConfig
-from skatemount.evaluation.records import EpisodeRecords
-from skatemount.evaluation.suite_task import EvaluationTask
 from skatemount.rendering import playback
 from skatemount.rendering.camera import LABEL_ROOM, MARGIN, VIEWS, camera_path
-from skatemount.rendering.playback import Episode, replay_episode
-
-
-def task(suite: str, *overrides: str, policy: str = "best", worlds: int = 6) -> EvaluationTask:
-    settings = [f"checkpoint=pretrained:{policy}", f"suite={suite}", f"physics.num_worlds={worlds}"]
-    settings += ["physics.threads=1", *overrides]
-    (found,) = EvaluationTask.prepare(compose_program("record", settings), settings)
-    return found
+from skatemount.rendering.playback import Episode, replay_episodes
+from skatemount.rendering.search import first_success
 
 
 @pytest.fixture(scope="module")
 def mounting() -> Episode:
     """A shipped policy that walks up to a free board and steps on."""
-    return replay_episode(task("approach-unfixed"))
+    return first_success(filmed("approach-unfixed"))
 
 
 def test_a_mounting_is_filmed(mounting: Episode) -> None:
@@ -88,62 +78,45 @@ def test_points_surround_robot_and_board(mounting: Episode) -> None:
     assert np.ptp(mounting.robot[-1], axis=0).max() > 0.5
 
 
-def failing(*overrides: str, **kwargs: int) -> EvaluationTask:
-    """Some of these are thrown over, and those that are not stand."""
-    return task("balance-fixed", "start.ang_vel=[-6,6]", "episode_length=1.6", *overrides, policy="balance", **kwargs)
-
-
-def first_of(records: EpisodeRecords) -> int:
-    return int(records.number[records.success][0])
-
-
-def test_the_first_success_is_chosen_and_the_failures_before_are_told() -> None:
-    trial = failing("seed=6")
-    records = trial.evaluate(6).records
-    number = first_of(records)
-    episode = replay_episode(trial)
-    assert episode.number == number > 0
-    assert "the first success; episode" in episode.choice and " failed: " in episode.choice
-    evaluated, again = (vars(each) | each.metrics for each in (records[number : number + 1], episode.record))
-    for name in evaluated.keys() - {"metrics"}:
-        value, played = evaluated[name], again[name]
-        assert torch.equal(played, value) or bool((played != played).all() and (value != value).all()), name
-    named = replay_episode(trial, number)
-    assert named.choice == ""
-    np.testing.assert_array_equal(named.frames[-1].qpos, episode.frames[-1].qpos)
-
-
-def test_without_a_success_the_first_episode_is_filmed_with_its_end() -> None:
-    episode = replay_episode(failing("termination.tilt.params.degrees=1"))
-    assert episode.number == 0
-    assert episode.choice == "none of the first 6 episodes succeeded"
-    assert episode.frames[-1].outcome == "failed: robot fell"
-    assert not episode.frames[-1].succeeded
-
-
-def test_variants_take_turns() -> None:
-    """The lowest number counts, whichever variant it belongs to; the first variant never succeeds here."""
-    base = failing()
-    variants = {"never": ["termination.tilt.params.degrees=1"], "often": ["start.ang_vel=[0,0]"]}
-    suite = SuiteConfig(name="test", stage="balance", overrides=["episode_length=1.6"], variants=variants)
-    trial = EvaluationTask.of(base.agent, suite, ["physics.num_worlds=3", "physics.threads=1"])
-    records = trial.evaluate(6).records
-    episode = replay_episode(trial)
-    assert episode.number == first_of(records)
-    assert episode.number % 2 == 1
-
-
-def test_no_more_than_the_first_episodes_are_searched(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(playback, "SEARCHED", 2)
-    episode = replay_episode(failing("termination.tilt.params.degrees=1"))
-    assert episode.choice == "none of the first 2 episodes succeeded"
-
-
 def test_an_episode_is_drawn_with_its_own_board() -> None:
-    trial = task("outside-boards", "episode_length=0.4", worlds=5)
+    trial = filmed("outside-boards", "episode_length=0.4", worlds=5)
     (config,) = trial.configs.values()
-    for number in (7, 13):
+    numbers = (13, 7)
+    for number, episode in zip(numbers, replay_episodes(trial, numbers), strict=True):
         changes = config.boards.fixed[number]
-        model = replay_episode(trial, number).model
-        deck = model.geom("board/deck").size
-        assert deck[:2].tolist() == pytest.approx([changes["deck_length"] / 2, changes["deck_width"] / 2])
+        length, width = changes["deck_length"], changes["deck_width"]
+        assert episode.model.geom("board/deck").size[:2].tolist() == pytest.approx([length / 2, width / 2])
+        assert episode.deck == f"deck {100 * length:.0f} x {100 * width:.0f} cm"
+
+
+def test_a_slow_motion_shows_more_states_of_the_same_episode() -> None:
+    """Between the control steps lie states of the simulation, which itself stays the same bit for bit."""
+    trial = filmed("delay", "episode_length=0.8")
+    numbers = (9, 2, 0)
+    for usual, slow in zip(replay_episodes(trial, numbers), replay_episodes(trial, numbers, parts=4), strict=True):
+        assert len(slow.frames) == 4 * len(usual.frames) - 3
+        assert [usual.number, usual.variant, usual.summary] == [slow.number, slow.variant, slow.summary]
+        for i, frame in enumerate(usual.frames):
+            same = slow.frames[4 * i]
+            np.testing.assert_array_equal(same.qpos, frame.qpos)
+            assert (same.time, same.on_deck, same.state) == (pytest.approx(frame.time), frame.on_deck, frame.state)
+        assert slow.time_step == pytest.approx(0.01)
+        times = np.array([frame.time for frame in slow.frames])
+        np.testing.assert_allclose(np.diff(times), 0.01)
+        moved = np.array([np.abs(b.qpos - a.qpos).max() for a, b in zip(slow.frames, slow.frames[1:], strict=False)])
+        assert (moved > 0).all() and moved.max() < 0.25
+        assert slow.frames[-1].outcome and not any(frame.outcome for frame in slow.frames[:-1])
+        assert len(slow.robot) == len(usual.robot) == len(usual.frames)
+    assert [trial.variant_of(number)[0] for number in numbers] == ["20ms", "40ms", "0ms"]
+
+
+def test_pushes_are_noted() -> None:
+    changes = ["randomization.push_interval=[0.6,0.6]", "randomization.push_velocity=[0.3,0.3]", "episode_length=1.2"]
+    (episode,) = replay_episodes(filmed("approach-unfixed", *changes), [1], parts=2)
+    told = np.array([frame.push for frame in episode.frames])
+    jumps = np.flatnonzero(np.diff(told))
+    # A push comes before the first physics step of a control step, and its label stays for a moment.
+    assert told[told > 0] == pytest.approx(0.3 * 2**0.5)
+    first, over = jumps[:2].tolist()
+    assert told[first + 1] > 0 == told[over + 1] and first % 2 == 0
+    assert over - first == 2 * round(playback.PUSH_TIME / episode.control_step)

@@ -20,7 +20,7 @@ from skatemount.envs.physics.factory import make_physics
 from skatemount.envs.robots import ROBOTS
 from skatemount.evaluation.suite_task import EvaluationTask
 from skatemount.rendering.overlay import draw_overlay
-from skatemount.rendering.playback import replay_episode
+from skatemount.rendering.playback import replay_episodes
 from skatemount.runs.folder import RunFolder
 from skatemount.train import train
 from skatemount.utils.errors import ConfigError
@@ -108,7 +108,7 @@ def test_it_is_trained_saved_evaluated_and_filmed(policy: Path) -> None:
     result = task.evaluate(4)
     assert result.episodes == 4
     assert 0 <= result.summary("feet_on_board") <= 4
-    frame = replay_episode(task, 0).frames[-1]
+    frame = replay_episodes(task, [0])[0].frames[-1]
     assert tuple(frame.legs) == ("lf", "rf", "lh", "rh")
     assert draw_overlay(Image.new("RGB", (320, 180)), frame).size == (320, 180)
     # The A1 takes twelve actions: the policy does not fit it.
