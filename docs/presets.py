@@ -53,7 +53,7 @@ def tasks_page() -> str:
         "",
         "A task says what an episode is about. `task=<name>` chooses one for a training, with the settings that belong "
         "to it; stages and suites choose theirs. `success=<name>` chooses criterion and metrics alone. [Use your own]"
-        "(../extend.md#tasks) says how to write one.",
+        "(../tutorials/own_task.md) says how to write one.",
         "",
     ]
     for name in TASKS.names():
@@ -170,7 +170,7 @@ def inputs_page() -> str:
         "# Inputs and settings of terms",
         "",
         "What each reward, observation and termination gets, and what its row in the settings can set. "
-        "[Use your own](../extend.md#rewards-observations-and-terminations) says how to write one. N is the number of "
+        "[Use your own](../tutorials/own_reward.md) says how to write one. N is the number of "
         "worlds; J, F and B are the robot's joints, feet and bodies. The A1 has 12, 4 and 13.",
         "",
     ]

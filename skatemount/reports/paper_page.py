@@ -73,6 +73,9 @@ def shipped_results() -> dict[str, dict[str, Result]]:
         # Other files hold measurements of other kinds.
         if "suites" in json.loads(file.read_bytes()):
             results = read_results([str(file)])
+            for result in results:
+                # Its name in the source tree; the path is that of one machine.
+                result.source = f"docs/results/{file.name}"
             found[results[0].policy[0] or file.stem] = {result.name: result for result in results}
     for name in SHOWN:
         policy = _shipped(name)

@@ -1,4 +1,4 @@
-"""The task of the page "Use your own", which is that of the lab's example, is registered and evaluated."""
+"""The tutorials show files of the examples, and their task is registered and evaluated."""
 
 from __future__ import annotations
 
@@ -42,16 +42,20 @@ def conf(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         del sys.modules[module]
 
 
-@pytest.mark.parametrize("page", ["extend", "extend_learning"])
+SHOWN = {"own_reward": 2, "own_board": 1, "own_stage": 2, "own_robot": 2, "own_task": 2, "take_to_robot": 2}
+"""Number of files that a tutorial shows."""
+
+
+@pytest.mark.parametrize("page", [*(f"tutorials/{name}" for name in SHOWN), "extend_learning"])
 def test_the_pages_show_files_of_the_examples(page: str) -> None:
     path = ROOT / "docs" / f"{page}.md"
     shown = re.findall(
         r"^```\{literalinclude\} (\S+)\n(.*?)^```$", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
     )
-    assert len(shown) >= 6
+    assert len(shown) == SHOWN.get(path.stem, 6)
     for file, options in shown:
         text = (path.parent / file).read_text(encoding="utf-8")
-        for start in re.findall(r"^:start-at: (.+)$", options, re.MULTILINE):
+        for start in re.findall(r"^:(?:start-at|end-before): (.+)$", options, re.MULTILINE):
             assert start in text, f"{file} has no {start!r}"
 
 

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from parsed_page import Page
 
 from skatemount.config import stages, suites
 from skatemount.config.keys import ELSEWHERE
@@ -50,6 +51,20 @@ def test_links_resolve(page: Path) -> None:
         assert file.exists(), f"{target}: no such file"
         if anchor:
             assert anchor in anchors(file), f"{target}: no such heading"
+
+
+def test_pages_in_html_are_linked_whole_and_small() -> None:
+    folder = ROOT / "docs" / "_static" / "reports"
+    linked = set()
+    for page in PAGES:
+        for target in re.findall(r'<a href="([^"]+)">', prose(page)):
+            assert (page.parent / target).is_file(), f"{page}: {target}"
+            linked.add((page.parent / target).resolve())
+    assert linked == set(folder.glob("*.html")) and len(linked) == 4
+    for file in linked:
+        text = file.read_text(encoding="utf-8")
+        Page(text).check_whole()
+        assert file.stat().st_size < 1e6 and not re.search(r"/(home|root|tmp|work)/", text), file
 
 
 def test_every_stage_is_in_the_table() -> None:

@@ -15,6 +15,8 @@ from PIL import Image
 from skatemount.config import compose_program
 from skatemount.report import report
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "_static" / "reports"
+
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("torch_as_it_was")]
 
 
@@ -43,8 +45,18 @@ def test_a_page_opens_without_a_network(kind: str, first: Path, second: Path, sw
     page = tmp_path / "page.html"
     given = [*about, "page.films=0", f"output={page}"]
     report(compose_program("report", given), given)
-    expected = Page(page.read_text(encoding="utf-8"))
+    check_in_browser(page)
 
+
+@pytest.mark.parametrize("name", ["run", "two", "sweep", "paper"])
+def test_the_pages_of_the_docs_open_without_a_network(name: str, tmp_path: Path) -> None:
+    page = Path(shutil.copy(EXAMPLES / f"{name}.html", tmp_path))
+    check_in_browser(page)
+
+
+def check_in_browser(page: Path) -> None:
+    """Open a page in Chromium, in light and in dark: everything of the file is there, and it is drawn."""
+    expected = Page(page.read_text(encoding="utf-8"))
     opened = browse(page, "--dump-dom")
     # The page's own script: messages about the machine's services are not its.
     assert not re.search(r"Uncaught|CONSOLE.*rror|Failed to load", opened.stderr), opened.stderr[-2000:]
@@ -52,7 +64,7 @@ def test_a_page_opens_without_a_network(kind: str, first: Path, second: Path, sw
     assert list(found.sections) == list(expected.sections) and list(found.charts) == list(expected.charts)
 
     for theme, dark in (("light", False), ("dark", True)):
-        picture = tmp_path / f"{theme}.png"
+        picture = page.with_name(f"{theme}.png")
         browse(page, f"--blink-settings=preferredColorScheme={int(not dark)}", f"--screenshot={picture}")
         with Image.open(picture) as image:
             gray = image.convert("L")

@@ -39,6 +39,9 @@ def test_results_are_those_that_are_shipped(page: Page) -> None:
     assert f"{100 * document['far']['success']['rate']:.1f} %" in page.sections["suites"]
     assert len(page.charts["success by suite"]["rows"]) == len(document)
     assert page.charts["other-boards, by variant"]["rows"][0]["label"] == "longboard"
+    # Not the path of this machine.
+    assert {result.source for result in results["pretrained:anywhere"].values()} == {"docs/results/anywhere.json"}
+    assert str(results_dir()) not in page.text
 
 
 def test_the_papers_curves_are_its_own(page: Page) -> None:
