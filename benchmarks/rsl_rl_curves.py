@@ -1,25 +1,38 @@
-"""Train a stage with our PPO and with rsl_rl's on the same environment, and draw success against time and steps.
+"""Train a stage with our PPO and with rsl_rl's on the same environment, and draw success against steps and time.
 
     pip install -c constraints.txt -e '.[adapters]'
-    python benchmarks/rsl_rl_curves.py --stage balance --frames 1500000 --seeds 0 1
+    python benchmarks/rsl_rl_curves.py --frames 491520 physics.num_worlds=512 physics.threads=1 torch_threads=1
 
-Both have the stage's worlds, steps per update, epochs, minibatches, discount, learning rate with its target KL, entropy
-coefficient, network sizes and first deviation of the actions. Ours has its default networks, which are symmetric, and
-rsl_rl's cannot be. Policies are evaluated with their mean action, all in the same episodes. Time is that of collecting
-and learning, without evaluations. The trainings run one after the other, on a machine that should be quiet. Results go
-to `<out>/curves.json` and `<out>/curves.png`.
+The trainings are `skatemount` (our PPO), `not symmetric` (our PPO with `network.symmetric=false`), and `rsl_rl` (its
+PPO through `skatemount.adapters.rsl_rl`). All have the stage's worlds, steps per update, epochs, minibatches, discount,
+learning rate with its target KL, entropy coefficient, network sizes and first deviation of the actions. The networks of
+rsl_rl are not symmetric.
+
+The trainings take turns of `--every` iterations, each with random numbers of its own, so that a machine that is busy
+for a while delays them all. After each turn the policy is evaluated with its mean action, all policies in the same
+episodes. Time is that of collecting and learning, without evaluations. `cpu_seconds` is the processor time of all
+threads, which other programs change little; `seconds` is the time on the clock.
+
+Curves go to `<out>/rsl_rl_curves.json`, the figure to `<out>/rsl_rl_curves.png`.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import copy
+import importlib.metadata
 import io
 import json
 import math
+import shlex
+import subprocess
+import sys
+import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import matplotlib
 import torch
@@ -27,13 +40,84 @@ from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict, TensorDictBase
 
 from skatemount.adapters.rsl_rl import RslRlEnv
-from skatemount.agents.trained_policy import TrainedPolicy
+from skatemount.agents.policy import Policy
 from skatemount.config import TrainConfig, compose
 from skatemount.envs import MountEnv
 from skatemount.evaluation.evaluator import Evaluator
-from skatemount.runs.checkpoint import list_checkpoints
+from skatemount.runs.provenance import package_versions
 from skatemount.training.plots import COLORS
 from skatemount.training.trainer import Trainer
+
+ROOT = Path(__file__).resolve().parents[1]
+NAMES = ("skatemount", "not symmetric", "rsl_rl")
+
+
+class Learner(Protocol):
+    """One training, in turns."""
+
+    def learn(self, iterations: int) -> None:
+        """Collect and learn."""
+
+    def policy(self) -> Policy:
+        """Return the present policy for the evaluator."""
+
+    def close(self) -> None:
+        """Free the worlds."""
+
+
+class Ours:
+    """A training with our PPO.
+
+    Args:
+        config: Settings of the training.
+    """
+
+    def __init__(self, config: TrainConfig):
+        self._trainer = Trainer(config)
+        self._iterations = self._trainer.iterations()
+
+    def learn(self, iterations: int) -> None:
+        """Collect and learn."""
+        for _ in range(iterations):
+            next(self._iterations)
+
+    def policy(self) -> Policy:
+        """Return the networks."""
+        return self._trainer.networks
+
+    def close(self) -> None:
+        """Free the worlds."""
+        self._iterations.close()
+        self._trainer.close()
+
+
+class Theirs:
+    """A training with rsl_rl's PPO.
+
+    Args:
+        config: Settings of the training.
+    """
+
+    def __init__(self, config: TrainConfig):
+        torch.manual_seed(config.seed)
+        self._env = RslRlEnv(seed=config.seed, config=config)
+        settings = runner_settings(config, config.physics.control_step)
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._runner = OnPolicyRunner(self._env, settings, None, str(self._env.device))
+
+    def learn(self, iterations: int) -> None:
+        """Collect and learn."""
+        # The first episodes already begin at random phases.
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._runner.learn(iterations, init_at_random_ep_len=False)
+
+    def policy(self) -> Policy:
+        """Return the actor."""
+        return RslPolicy(self._runner)
+
+    def close(self) -> None:
+        """Free the worlds."""
+        self._env.close()
 
 
 class RslPolicy:
@@ -90,51 +174,56 @@ def runner_settings(config: TrainConfig, step: float) -> dict[str, Any]:
     }
 
 
-def train_theirs(config: TrainConfig, every: int, evaluator: Evaluator, episodes: int) -> list[dict[str, float]]:
-    """Train with rsl_rl, and return frames, seconds and success at each evaluation."""
-    torch.manual_seed(config.seed)
-    env = RslRlEnv(seed=config.seed, config=config)
-    batch = env.num_envs * config.collector.steps_per_env
-    points, seconds = [], 0.0
-    settings = runner_settings(config, config.physics.control_step)
-    runner = OnPolicyRunner(env, settings, None, str(env.device))
-    for done in range(every, config.total_frames // batch + 1, every):
-        begun = time.perf_counter()
-        with contextlib.redirect_stdout(io.StringIO()):
-            runner.learn(every, init_at_random_ep_len=not points)
-        seconds += time.perf_counter() - begun
-        success = evaluator.run(RslPolicy(runner), episodes).success_rate
-        points.append({"frames": done * batch, "seconds": seconds, "success": success})
-        print(f"rsl_rl seed {config.seed}: {done * batch:,} steps, {seconds:.0f} s, {success:.3f}", flush=True)
-    env.close()
-    return points
+def train(
+    config: TrainConfig, names: list[str], every: int, evaluator: Evaluator, episodes: int
+) -> Iterator[dict[str, list[dict[str, float]]]]:
+    """Train in turns, and yield frames, seconds, processor seconds and success at the evaluations so far, by name.
+
+    Args:
+        config: Settings of the trainings.
+        names: Of the trainings, of `NAMES`.
+        every: Iterations of a turn.
+        evaluator: Evaluates the policies.
+        episodes: Number of episodes of an evaluation.
+    """
+    batch = config.physics.num_worlds * config.collector.steps_per_env
+    learners: dict[str, Learner] = {name: make(name, config) for name in names}
+    random = {name: torch.get_rng_state() for name in names}
+    points: dict[str, list[dict[str, float]]] = {name: [] for name in names}
+    for done in range(0, config.total_frames // batch + 1, every):
+        for name, learner in learners.items():
+            torch.set_rng_state(random[name])
+            last = points[name][-1] if done else {"seconds": 0.0, "cpu_seconds": 0.0}
+            wall, cpu = time.perf_counter(), time.process_time()
+            learner.learn(every if done else 0)
+            point = {
+                "frames": done * batch,
+                "seconds": last["seconds"] + time.perf_counter() - wall,
+                "cpu_seconds": last["cpu_seconds"] + time.process_time() - cpu,
+            }
+            random[name] = torch.get_rng_state()
+            point["success"] = evaluator.run(learner.policy(), episodes).success_rate
+            points[name].append(point)
+            shown = f"{point['cpu_seconds']:.0f} s of processor time, success {point['success']:.3f}"
+            print(f"{name}, seed {config.seed}: {done * batch:,} steps, {shown}", flush=True)
+        yield points
+    for learner in learners.values():
+        learner.close()
 
 
-def train_ours(config: TrainConfig, evaluator: Evaluator, episodes: int) -> list[dict[str, float]]:
-    """Train here, and return frames, seconds and success at each checkpoint."""
-    trainer = Trainer(config)
-    try:
-        trainer.train()
-        folder = trainer.run.path
-    finally:
-        trainer.close()
-    seconds, at = 0.0, {}
-    for line in (folder / "metrics.jsonl").read_text(encoding="utf-8").splitlines():
-        row = json.loads(line)
-        seconds += row["Perf/collection_time"] + row["Perf/learning_time"]
-        at[row["frames"]] = seconds
-    points = []
-    for checkpoint in list_checkpoints(folder / "checkpoints"):
-        agent = TrainedPolicy.load(str(checkpoint))
-        frames = int(checkpoint.name.removeprefix("step_"))
-        success = evaluator.run(agent.policy, episodes).success_rate
-        points.append({"frames": frames, "seconds": at[frames], "success": success})
-        print(f"ours seed {config.seed}: {frames:,} steps, {at[frames]:.0f} s, {success:.3f}", flush=True)
-    return points
+def make(name: str, config: TrainConfig) -> Learner:
+    """Return a training by its name."""
+    if name == "rsl_rl":
+        return Theirs(config)
+    if name == "skatemount":
+        return Ours(config)
+    plain = copy.deepcopy(config)
+    plain.network.symmetric = False
+    return Ours(plain)
 
 
 def draw(path: Path, curves: dict[str, dict[str, list[dict[str, float]]]], title: str) -> None:
-    """Draw success against minutes and against steps, a line for each seed."""
+    """Draw success against steps and against minutes of processor time, a line for each seed."""
     matplotlib.use("agg")
     from matplotlib import pyplot
 
@@ -142,43 +231,56 @@ def draw(path: Path, curves: dict[str, dict[str, list[dict[str, float]]]], title
     for color, (name, seeds) in zip(COLORS, curves.items()):
         for i, points in enumerate(seeds.values()):
             success = [point["success"] for point in points]
-            for axis, key, unit in ((axes[0], "seconds", 60), (axes[1], "frames", 1e6)):
+            for axis, key, unit in ((axes[0], "frames", 1e6), (axes[1], "cpu_seconds", 60)):
                 x = [point[key] / unit for point in points]
                 axis.plot(x, success, color=color, marker="o", ms=3, label=name if i == 0 else None)
-    axes[0].set(xlabel="minutes of collecting and learning", ylabel="success, mean action", ylim=(0, 1), title=title)
-    axes[1].set(xlabel="million environment steps")
-    axes[0].legend()
+    axes[0].set(xlabel="million environment steps", ylabel="success, mean action", ylim=(0, 1))
+    axes[1].set(xlabel="minutes of processor time, collecting and learning")
+    for axis in axes:
+        axis.grid(alpha=0.3)
+    axes[0].legend(loc="lower right")
+    figure.suptitle(title, fontsize="medium")
     figure.savefig(path, dpi=120)
+    pyplot.close(figure)
 
 
 def main() -> None:
-    """Train both, write the curves and the figure."""
+    """Train, write the curves and the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--stage", default="balance")
     parser.add_argument("--frames", type=int, default=1_500_000, help="environment steps of each training")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--every", type=int, default=6, help="iterations between two evaluations")
+    parser.add_argument("--trainings", nargs="+", choices=NAMES, default=list(NAMES))
+    parser.add_argument("--every", type=int, default=8, help="iterations between two evaluations")
     parser.add_argument("--episodes", type=int, default=512, help="of each evaluation")
     parser.add_argument("--out", type=Path, default=Path("runs/rsl_rl_curves"))
     parser.add_argument("overrides", nargs="*", help="further settings, such as physics.num_worlds=512")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    curves: dict[str, dict[str, list[dict[str, float]]]] = {"skatemount": {}, "rsl_rl": {}}
-    quiet = [
-        "logger.evaluate_every=0",
-        "logger.final_episodes=0",
-        "logger.keep_checkpoints=100000",
-        "logger.plot_every=0",
-    ]
+    curves: dict[str, dict[str, list[dict[str, float]]]] = {name: {} for name in options.trainings}
+    commit = subprocess.run(["git", "rev-parse", "--short=7", "HEAD"], cwd=ROOT, capture_output=True, text=True)
+    document = {
+        "format": 1,
+        "command": shlex.join(["python", "benchmarks/rsl_rl_curves.py", *sys.argv[1:]]),
+        "commit": commit.stdout.strip() or "unknown",
+        "versions": package_versions() | {"rsl-rl-lib": importlib.metadata.version("rsl-rl-lib")},
+        "stage": options.stage,
+        "episodes": options.episodes,
+        "curves": curves,
+    }
     for seed in options.seeds:
-        lines = [f"total_frames={options.frames}", f"seed={seed}", f"logger.checkpoint_every={options.every}"]
-        overrides = ["init_from=null", *lines, *quiet, f"logger.root={options.out / 'runs'}", *options.overrides]
-        config = compose(options.stage, overrides)
-        evaluator = Evaluator(config, 256)
-        curves["skatemount"][str(seed)] = train_ours(config, evaluator, options.episodes)
-        curves["rsl_rl"][str(seed)] = train_theirs(config, options.every, evaluator, options.episodes)
-        (options.out / "curves.json").write_text(json.dumps(curves, indent=1), encoding="utf-8")
-    draw(options.out / "curves.png", curves, f"stage {options.stage}")
+        with tempfile.TemporaryDirectory() as runs:
+            given = ["init_from=null", f"total_frames={options.frames}", f"seed={seed}", f"logger.root={runs}"]
+            config = compose(options.stage, [*given, *options.overrides])
+            evaluator = Evaluator(config, 256)
+            for found in train(config, options.trainings, options.every, evaluator, options.episodes):
+                for name, points in found.items():
+                    curves[name][str(seed)] = points
+                text = json.dumps(document, indent=1) + "\n"
+                (options.out / "rsl_rl_curves.json").write_text(text, encoding="utf-8")
+                title = f"stage {options.stage}, {options.episodes} episodes a point"
+                draw(options.out / "rsl_rl_curves.png", curves, title)
+            evaluator.close()
 
 
 if __name__ == "__main__":

@@ -182,8 +182,11 @@ KINDS: dict[str, tuple[str, Callable[[], dict[str, str]]]] = {
         "algorithm=<name>; classes: algorithm.kind=<name>",
         lambda: _group_and_classes("algorithm", ALGORITHMS),
     ),
-    "callbacks": ("in every training, or callbacks=[<name>]", lambda: _classes(CALLBACKS)),
-    "loggers": ("logger.<name>=true, or logger.loggers=[<name>]", lambda: _classes(LOGGERS)),
+    "callbacks": ("in every training, except film; others: callbacks=[<name>]", lambda: _classes(CALLBACKS)),
+    "loggers": (
+        "tensorboard and jsonl: logger.<name>=true; others: logger.loggers=[<name>]",
+        lambda: _classes(LOGGERS),
+    ),
     "experiments": ("settings that belong together: experiment=<name>", lambda: _of_group("experiment")),
 }
 """The kinds that can be listed: a line about each, and a function that returns its names with their descriptions."""

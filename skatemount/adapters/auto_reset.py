@@ -47,6 +47,8 @@ class Transition:
 class AutoResetEnv:
     """N worlds of a stage that begin a new episode in the step in which the last one ended.
 
+    The environments for other libraries take these arguments, too; their own docstrings have only the others.
+
     Args:
         stage: Name of a stage, such as ``"unfixed"``.
         num_envs: Number of worlds; ``physics.num_worlds`` of the stage if None.

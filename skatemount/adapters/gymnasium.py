@@ -33,14 +33,10 @@ class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ``privileged`` and ``success`` of these worlds. ``infos["privileged"]``, ``[N, P]``, has the values that only a
     critic may get.
 
-    Args:
-        stage: Name of a stage.
-        num_envs: Number of worlds.
-        overrides: Further settings in Hydra's syntax, such as ``["board=longboard"]``.
-        render_mode: Must be None; ``python -m skatemount.record`` films a policy.
+    `AutoResetEnv` describes the other arguments and the errors.
 
-    Raises:
-        ConfigError: The stage or a setting is unknown, or a setting has a value that cannot be used.
+    Args:
+        render_mode: Must be None; ``python -m skatemount.record`` films a policy.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}
@@ -111,13 +107,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ``info`` has ``privileged``, ``[P]``, and after the last step ``success``. A single world is slow; `make_vec` steps
     many at once.
 
-    Args:
-        stage: Name of a stage.
-        overrides: Further settings in Hydra's syntax.
-        render_mode: Must be None; ``python -m skatemount.record`` films a policy.
-
-    Raises:
-        ConfigError: The stage or a setting is unknown, or a setting has a value that cannot be used.
+    The arguments are those of `GymnasiumVectorEnv`, without the number of worlds.
     """
 
     metadata = {"render_modes": []}

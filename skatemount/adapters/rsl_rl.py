@@ -25,16 +25,10 @@ class RslRlEnv(VecEnv):
     "critic"]}``. In ``extras``, ``time_outs`` marks truncated episodes, ``success`` those that succeeded, and ``log``
     has the same statistics as a training here, once every ``log_every`` steps.
 
-    Args:
-        stage: Name of a stage.
-        num_envs: Number of worlds; ``physics.num_worlds`` of the stage if None.
-        overrides: Further settings in Hydra's syntax.
-        seed: Seed of all random numbers.
-        log_every: Number of steps between two logged statistics.
-        config: Complete settings, in place of stage and overrides.
+    `AutoResetEnv` describes the other arguments and the errors.
 
-    Raises:
-        ConfigError: The stage or a setting is unknown, or a setting has a value that cannot be used.
+    Args:
+        log_every: Number of steps between two logged statistics.
     """
 
     def __init__(

@@ -24,16 +24,11 @@ class Sb3Env(VecEnv):
     ``TimeLimit.truncated``, ``is_success``, and ``episode`` with return ``r``, length ``l`` and time ``t``, as
     Stable-Baselines3's ``VecMonitor`` would add.
 
+    `AutoResetEnv` describes the other arguments and the errors.
+
     Args:
-        stage: Name of a stage.
-        num_envs: Number of worlds; ``physics.num_worlds`` of the stage if None.
-        overrides: Further settings in Hydra's syntax.
-        seed: Seed of all random numbers.
         privileged: True if observations also have the values that only a critic may get. A policy that reads them is an
             upper bound; no robot can measure them.
-
-    Raises:
-        ConfigError: The stage or a setting is unknown, or a setting has a value that cannot be used.
     """
 
     def __init__(

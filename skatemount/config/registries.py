@@ -29,11 +29,12 @@ CALLBACKS = ClassRegistry(
     {
         name: f"skatemount.training.callbacks:{name.capitalize()}Callback"
         for name in ("curriculum", "evaluation", "logger", "checkpoint", "plot")
-    },
+    }
+    | {"film": "skatemount.training.film:FilmCallback"},
     methods=(*HOOKS, "state_dict", "load_state_dict"),
     base="skatemount.training.callbacks.Callback",
 )
-"""Callbacks by name; those of the package are in every training."""
+"""Callbacks by name; those of the package are in every training, except `film`."""
 
 POLICY_CLASSES: dict[str, ClassRegistry] = {"network.kind": NETWORKS, "command.mode": COMMANDS}
 """Settings that name a class which a trained policy needs, and the classes that they may name."""

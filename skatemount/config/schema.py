@@ -70,7 +70,8 @@ class LoggerConfig:
         name: Name of the run; null takes the stage's name.
         tensorboard: Write TensorBoard events.
         jsonl: Write ``metrics.jsonl``, from which the learning curves are drawn.
-        loggers: Further loggers: names that plugins registered, or ``module:Class`` of your own.
+        loggers: Further loggers: ``wandb``, ``trackio``, names that plugins registered, or ``module:Class`` of your
+            own.
         progress_every: Seconds between two lines of progress when the output is not a terminal.
         plot_every: Seconds between two updates of the learning curves' picture.
         dump_diverged: Number of worlds whose physics failed to write into the run's folder ``diverged``, for

@@ -38,7 +38,7 @@ JOB_OF_TORCHRUN = ".torchrun"
 """File of a run that names the job of ``torchrun`` that trains it."""
 
 _AT_START = {"config.yaml", "overrides.yaml", "git.diff", "environment.txt", "parent.json", "stages.yaml",
-             "stages.json", JOB_FILE, ".lock", JOB_OF_TORCHRUN}  # fmt: skip
+             "stages.json", JOB_FILE, ".lock", JOB_OF_TORCHRUN, "wandb.json", "trackio.json"}  # fmt: skip
 """Files that a run has before anything is trained."""
 
 POINTERS = ("latest", "best")
@@ -240,7 +240,8 @@ class RunFolder:
         """
         with contextlib.suppress(OSError):
             for path in self.path.rglob("*"):
-                if path.is_file() and path.name not in _AT_START and not _is_empty_log(path):
+                inside = path.relative_to(self.path).parts[0]
+                if path.is_file() and path.name not in _AT_START and inside != "wandb" and not _is_empty_log(path):
                     return False
             shutil.rmtree(self.path)
             # Folders of a run's group stay if another run is in them.

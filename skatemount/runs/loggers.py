@@ -20,6 +20,8 @@ LOGGERS = ClassRegistry(
     {
         "tensorboard": "skatemount.runs.loggers:TensorBoardLogger",
         "jsonl": "skatemount.runs.loggers:JsonLinesLogger",
+        "wandb": "skatemount.runs.trackers:WandbLogger",
+        "trackio": "skatemount.runs.trackers:TrackioLogger",
     },
     methods=("log", "close"),
     base="skatemount.runs.loggers.Logger",
