@@ -48,7 +48,8 @@ def choose_moments(frames: Sequence[Frame], count: int = COUNT) -> list[Moment]:
 
     A failure has the first four of them as far as they happen, the last frame in the task's state if there is one
     (``mounted for a time``), ``before the end``, and ``the end``. The start, and frames in the middle of the longest
-    gaps, make up for what did not happen. A robot that starts on the deck has no approach: its moments are evenly spaced.
+    gaps, make up for what did not happen. A robot that starts on the deck has no approach: its moments are evenly
+    spaced.
 
     Args:
         frames: The episode.
