@@ -35,7 +35,7 @@ class Episode:
 
     Attributes:
         number: Its number in the evaluation.
-        variant: Name of the suite's variant; empty if it has none.
+        variant: Name of the suite's variant, with the unit of a ladder's step; empty if it has none.
         frames: The start and every control step after it, each in ``parts`` frames.
         parts: Frames of a control step.
         model: The scene with everything that is visible.
@@ -97,9 +97,15 @@ def replay_episodes(trial: EvaluationTask, numbers: Sequence[int], parts: int = 
                 tape = Tape(evaluator, worlds, parts)
                 records = trial.numbered(variant, tape.play(trial.agent.policy, turn))
                 for world in worlds:
-                    episode = make_episode(evaluator, variant, tape, world, records[world : world + 1])
+                    episode = make_episode(evaluator, words_of(trial, variant), tape, world, records[world : world + 1])
                     found[episode.number] = episode
     return [found[number] for number in numbers]
+
+
+def words_of(trial: EvaluationTask, variant: str) -> str:
+    """Return the name of a variant, with the unit if it is the step of a ladder whose names lack it."""
+    unit = "" if trial.suite is None or not trial.suite.ladder else trial.suite.unit
+    return variant if not unit or variant.endswith(unit) else f"{variant} {unit}"
 
 
 class Tape:
@@ -232,7 +238,7 @@ def make_episode(evaluator: Evaluator, variant: str, tape: Tape, world: int, rec
 
     Args:
         evaluator: Ran the round.
-        variant: Name of the variant.
+        variant: Name of the variant in words.
         tape: The tape.
         world: The episode's world.
         record: Its result, a batch of one.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.results import in_words
 from skatemount.evaluation.suite_task import EvaluationTask
-from skatemount.rendering.playback import Episode, Tape, make_episode, replay_episodes
+from skatemount.rendering.playback import Episode, Tape, make_episode, replay_episodes, words_of
 
 SEARCHED = 256
 """Episodes among which the first success is looked for, unless the caller says otherwise."""
@@ -85,6 +85,7 @@ def _search(trial: EvaluationTask, succeeded: bool, most: int, searched: int, pa
         count = len(range(i, searched, len(variants)))
         if not count or succeeded and len(found) == most and i > max(found):
             break
+        words = words_of(trial, variant)
         with contextlib.closing(trial.evaluator(variant)) as evaluator:
             size = evaluator.env.num_worlds
             for turn in range(math.ceil(count / size)):
@@ -100,7 +101,7 @@ def _search(trial: EvaluationTask, succeeded: bool, most: int, searched: int, pa
                         break
                     known = parts == 1
                     row = records[world : world + 1]
-                    found[number] = make_episode(evaluator, variant, tape, world, row) if known else None
+                    found[number] = make_episode(evaluator, words, tape, world, row) if known else None
                     for extra in sorted(found)[most:]:
                         del found[extra]
             ends = [in_words(end, evaluator.env.mdp.definition) for end in evaluator.end_names]

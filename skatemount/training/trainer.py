@@ -327,7 +327,7 @@ class Trainer:
         """Return the statistics of the episodes of all ranks; compare the weights of the ranks if it is time."""
         self.ranks.sum(*self.env.statistics.sums())
         every = self.config.distributed.check_every
-        if every and self.iteration % every == 0:
+        if self.ranks.size > 1 and every and self.iteration % every == 0:
             self.ranks.check_same(self.networks, str(self.run.latest or ""))
         return self.env.statistics.pop() | self.ranks.summed(self.env.divergence.pop())
 

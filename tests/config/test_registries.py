@@ -152,12 +152,15 @@ def test_parameters_are_checked_by_the_constructor(module: Write) -> None:
             "callbacks=evalution must be one of curriculum, evaluation, logger, checkpoint, plot,",
         ),
         (
-            "logger.loggers=[comet]",
-            "logger.loggers=comet must be one of tensorboard, jsonl, wandb, trackio, or module:Class of your own",
+            "logger.loggers=[wandb]",
+            "logger.loggers=wandb must be one of tensorboard, jsonl, or module:Class of your own",
         ),
         ("logger.loggers=[jsonl]", "logger.loggers=jsonl: use logger.jsonl=true"),
         ("callbacks=[plot,plot]", "callbacks: plot is there twice"),
-        ("command.mode=toward", "command.mode=toward must be one of sampled, board, zero, ride, or module:Class of"),
+        (
+            "command.mode=toward",
+            "command.mode=toward must be one of sampled, board, zero, ride, or module:Class of your own",
+        ),
     ],
 )
 def test_a_wrong_class_is_one_line_that_names_its_setting(setting: str, expected: str) -> None:

@@ -47,7 +47,7 @@ TINY = {
 """Settings that replace or follow those of a command."""
 KEPT = ("suite=", "episodes=0")
 """Settings of a command that stay."""
-ONLY_SOMETIMES = ("failed episode", "film a failure", "film the first", "failures ", "Killed")
+ONLY_SOMETIMES = ("failed episode", "film a failure", "film the first", "failures ", "filming", "Killed")
 """Beginnings of lines that depend on how the episodes end."""
 
 
@@ -104,6 +104,10 @@ def tiny(words: list[str], program: str) -> list[str]:
         more = ["page.films=0"]
     if "resume=latest" in words:
         more = ["total_frames=96"]
+    if "curriculum=paper" in words:
+        # Gates need evaluations, and each of the five stages an iteration.
+        more = [word for word in more if not word.startswith(("total_frames", "logger.evaluate_every"))]
+        more += ["total_frames=160", "logger.evaluate_every=99", "logger.evaluate_episodes=4"]
     kept = [word for word in words if word.startswith(KEPT)]
     replaced = {word.split("=")[0] for word in more} - {word.split("=")[0] for word in kept}
     short = [re.sub(r"(=[^,\[]+,[^,]+),.*", r"\1", word) for word in words if not word.startswith("hydra")]
@@ -125,7 +129,7 @@ def missing(shown: list[str], printed: str) -> list[str]:
         for line in shown
         if re.match(r"\s*[A-Za-z]", line)
         and not line.lstrip().startswith(ONLY_SOMETIMES)
-        and not re.search(r"\d%\)", line)  # a line of progress, which a tiny training has not
+        and not re.search(r"\(\d+%\)", line)  # a line of progress, which a tiny training has not
         and not heads(line) <= known
     ]
 
@@ -184,7 +188,7 @@ def test_the_commands_of_a_page_run(
                 expected = 2 if refused else 130 if program == "play" else 0
                 assert done["status"] == expected, f"{shlex.join(given)}\n{done['printed']}"
                 printed = done["printed"]
-        if len(block.commands) == 1:
+        if len(block.commands) == 1 and program:
             assert missing(block.output, printed) == [], printed
 
 

@@ -8,7 +8,7 @@ from filmed import filmed
 
 from skatemount.rendering import playback
 from skatemount.rendering.camera import LABEL_ROOM, MARGIN, VIEWS, camera_path
-from skatemount.rendering.playback import Episode, replay_episodes
+from skatemount.rendering.playback import Episode, replay_episodes, words_of
 from skatemount.rendering.search import first_success
 
 
@@ -120,3 +120,10 @@ def test_pushes_are_noted() -> None:
     first, over = jumps[:2].tolist()
     assert told[first + 1] > 0 == told[over + 1] and first % 2 == 0
     assert over - first == 2 * round(playback.PUSH_TIME / episode.control_step)
+
+
+def test_the_step_of_a_ladder_has_its_unit() -> None:
+    assert [words_of(filmed("pushed"), name) for name in ("0.25", "0.75")] == ["0.25 m/s", "0.75 m/s"]
+    assert words_of(filmed("delay"), "20ms") == "20ms"
+    assert words_of(filmed("approach-unfixed"), "") == ""
+    assert words_of(filmed("other-boards"), "penny") == "penny"

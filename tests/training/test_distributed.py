@@ -44,7 +44,7 @@ def torchrun(*arguments: str, ranks: int = 2, status: int = 0) -> subprocess.Com
     options = [f"--nproc-per-node={ranks}", f"--master-port={port}"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])}
     command = [sys.executable, "-W", "ignore", "-m", "torch.distributed.run", *options, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=900)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=3600)
     assert done.returncode == status, done.stdout[-2000:] + done.stderr[-4000:]
     return done
 
