@@ -7,7 +7,6 @@ a run.
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import json
 import uuid

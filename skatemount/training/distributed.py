@@ -278,10 +278,10 @@ class JoinedRanks(Ranks):
         if not self.first:
             self._connection.send(message.encode())
         messages = [data.decode() for data in self._connection.receive_all().values() if data] if self.first else []
+        (differs,) = self.highest(int(bool(messages)))
         if messages:
             raise ConfigError(messages[0])
-        (bad,) = self.highest(int(bool(message)))
-        if bad:
+        if differs:
             raise SystemExit(1)
 
     def _tell(self, word: Word) -> None:

@@ -30,7 +30,7 @@ class FilmCallback(Callback):
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
-        # Environment steps of the evaluation whose checkpoint is to be filmed.
+        # Environment steps of the evaluation whose checkpoint gets the next film.
         self._due: int | None = None
         self._decoration = Decoration("the film of the policy")
 

@@ -34,6 +34,20 @@ def test_memory_of_worlds(repo_root: Path, tmp_path: Path) -> None:
     assert done.stdout.count("with memory of their own") == 2
 
 
+def test_rsl_rl_curves(repo_root: Path, tmp_path: Path) -> None:
+    options = ["--frames", "192", "--every", "1", "--episodes", "8", "--out", str(tmp_path)]
+    settings = ["physics.num_worlds=4", "physics.threads=1", "torch_threads=1", "episode_length=1.2"]
+    done = run(repo_root / "benchmarks" / "rsl_rl_curves.py", *options, *settings)
+    assert done.returncode == 0, done.stderr
+    curves = json.loads((tmp_path / "rsl_rl_curves.json").read_text())["curves"]
+    assert list(curves) == ["skatemount", "not symmetric", "rsl_rl"]
+    for seeds in curves.values():
+        assert [point["frames"] for point in seeds["0"]] == [0, 96, 192]
+        times = [point["cpu_seconds"] for point in seeds["0"]]
+        assert times == sorted(times) and all(0 <= point["success"] <= 1 for point in seeds["0"])
+    assert (tmp_path / "rsl_rl_curves.png").stat().st_size > 10_000
+
+
 @pytest.mark.nightly
 def test_faults(repo_root: Path, tmp_path: Path) -> None:
     options = ["--times", "2", "--only", "kills", "operations", "signals", "full", "numbers"]

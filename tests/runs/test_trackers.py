@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from tiny import BATCH, TINY
 
+from skatemount.config import compose
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.loggers import open_loggers
 from skatemount.runs.trackers import Tracker
@@ -97,6 +98,7 @@ def test_a_part_and_a_job_have_the_whole_name(run: RunFolder) -> None:
 def test_a_missing_package_is_one_line_that_names_the_extra(
     name: str, run: RunFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    assert compose("balance", [f"logger={name}"]).logger.loggers == [name]
     monkeypatch.setattr(importlib.util, "find_spec", lambda package: None)
     with pytest.raises(ConfigError) as error:
         open_loggers(run, tensorboard=False, others=[name])
