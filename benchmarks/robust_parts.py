@@ -1,6 +1,6 @@
 """Show what each part of the stage robust brings, at an equal number of steps, as a table and a figure.
 
-    python benchmarks/robust_parts.py --teacher pretrained:anywhere --frames 4000000
+    python benchmarks/robust_parts.py --frames 4000000
 
 Six trainings differ in one part each: all parts; one board instead of many; true observations; targets that arrive at
 once; no pushes; one frame instead of three. Each begins from scratch with the same seed and the same teacher, see
@@ -136,7 +136,7 @@ def draw(results: dict[str, dict[str, dict[str, Any]]], path: Path) -> None:
 def main() -> None:
     """Train, evaluate, and write table and figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--teacher", default="pretrained:anywhere", help="policy that every training imitates")
+    parser.add_argument("--teacher", default="pretrained:robust-teacher", help="policy that every training imitates")
     parser.add_argument("--frames", type=int, default=4_000_000, help="environment steps of each training")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--suites", nargs="+", default=list(SUITES))

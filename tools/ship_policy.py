@@ -45,7 +45,8 @@ def main() -> None:
     # Paths of the machine that trained the policy mean nothing elsewhere.
     card.config["logger"]["root"], card.config["resume"] = "runs", None
     for holder, key in ((card.config, "init_from"), (card.config["algorithm"], "teacher")):
-        holder[key] = holder[key] and Path(holder[key]).name
+        if holder.get(key) is not None:
+            holder[key] = Path(holder[key]).name
     card.notes = " ".join(filter(None, (f"Trained by: {options.command}.", options.notes, failure_modes(results))))
     folder = Path(skatemount.__file__).parent / "policies"
     folder.mkdir(exist_ok=True)

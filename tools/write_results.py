@@ -173,6 +173,17 @@ def growth(results: dict[str, Any]) -> str:
     return f"{1024 * more / (last['environments'] - first['environments']):.0f} KiB"
 
 
+def curves(results: dict[str, Any]) -> str:
+    """Return the table of what the trainings of `benchmarks/rsl_rl_curves.py` reached, a row for each seed."""
+    lines = ["", "| PPO | seed | steps | success | processor time |", "|---|---|---|---|---|"]
+    for name, seeds in results["curves"].items():
+        for seed, points in seeds.items():
+            last = points[-1]
+            minutes = f"{last['cpu_seconds'] / 60:.1f} min"
+            lines.append(f"| {name} | {seed} | {last['frames']:,} | {percent(last['success'])} | {minutes} |")
+    return "\n".join([*lines, "", ""])
+
+
 def compared(*files: dict[str, Any]) -> str:
     """Return the success rates of several files side by side, with a row for each suite and each step of a ladder.
 
@@ -216,6 +227,7 @@ BLOCKS: dict[str, Callable[[dict[str, Any]], str]] = {
     "table": table,
     "summary": summary,
     "boards": variants,
+    "curves": curves,
     "faults": faults,
     "memory": memory,
     "growth": growth,

@@ -40,7 +40,10 @@ class Teacher:
             for entry in entries
         ]
         layout, giver = observation_layout(task), "observation.privileged of this run"
-        columns = feature_indices(layout, single, "privileged", where, giver)
+        try:
+            columns = feature_indices(layout, single, "privileged", where, giver)
+        except ConfigError as error:
+            raise ConfigError(f"{error}; give it to the critic, as observation=student does, or use no teacher") from error
         # An input is a column of a frame of some age. The oldest frame of a term comes first.
         inputs, ages = [], []
         for part, entry in zip(columns.split([each["size"] for each in single]), entries):
