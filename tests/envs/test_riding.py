@@ -154,7 +154,8 @@ def test_a_mounted_robot_is_brought_to_its_speed_after_a_second(make_env: Callab
         mounted = float(episode.mounted_time[0])
         assert bool(episode.ride_command[0, 0]) == (mounted > 0.98), step
         if mounted < 0.98:
-            assert float(riding.forward_speed(env.sim, episode).abs().max()) < 0.05
+            # Robot and board exchange momentum while the robot settles, but nothing drives them.
+            assert not env._drive.force(env.sim, episode).any()
     assert riding.forward_speed(env.sim, env.episode).tolist() == pytest.approx([0.5, 0.5], abs=0.05)
     seconds = riding.ride_of(env.episode, env.mdp.context).seconds
     assert float(seconds[0]) == pytest.approx(89 * STEP - 1.0, abs=0.2)
