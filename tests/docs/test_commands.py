@@ -37,7 +37,7 @@ TINY = {
         ),
     ],
     "evaluate": [*WORLDS, "episodes=4", "episode_length=1.0"],
-    "record": [*WORLDS, "film.width=160", "film.height=120"],
+    "record": [*WORLDS, "film.width=160", "film.height=120", "episode=0"],
     "report": [*WORLDS, "page.episodes=4", "page.films=0", "episode_length=1.0"],
     "export": ["episodes=2", "suite=balance-fixed", "physics.threads=1"],
     "runner": ["episodes=2"],
@@ -99,6 +99,8 @@ def program_of(words: list[str]) -> str:
 
 def tiny(words: list[str], program: str) -> list[str]:
     """Return a command with tiny settings; a sweep keeps two values of each list."""
+    if "--cfg" in words:
+        return words  # it only prints settings
     more = TINY[program]
     if program == "report" and not any(word.startswith("run=") for word in words) or "paper=true" in words:
         more = ["page.films=0"]
