@@ -43,7 +43,8 @@ class Teacher:
         try:
             columns = feature_indices(layout, single, "privileged", where, giver)
         except ConfigError as error:
-            raise ConfigError(f"{error}; give it to the critic, as observation=student does, or use no teacher") from error
+            advice = "give it to the critic, as observation=student does, or use no teacher"
+            raise ConfigError(f"{error}; {advice}") from error
         # An input is a column of a frame of some age. The oldest frame of a term comes first.
         inputs, ages = [], []
         for part, entry in zip(columns.split([each["size"] for each in single]), entries):

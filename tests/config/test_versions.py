@@ -140,16 +140,15 @@ def test_what_was_saved_before_boards_varied_has_one_board_and_nominal_motors(fo
     assert config.sensing == compose("unfixed", ["sensing=default"]).sensing
 
 
-<<<<<<< ours
 def test_what_was_saved_before_there_were_teachers_had_none() -> None:
-    values = to_dict(compose("robust"))
+    values = to_dict(compose("balance"))
     for name in ("teacher", "teacher_coeff", "teacher_frames"):
         del values["algorithm"][name]
-    assert from_dict(values | {"format": 6}) == compose("robust")
-=======
+    assert from_dict(values | {"format": 6}) == compose("balance")
+
+
 def test_what_was_saved_before_ranks_has_their_first_defaults() -> None:
     values = to_dict(compose("balance"))
     del values["distributed"]
     config = from_dict(values | {"format": 6})
     assert (config.distributed.timeout, config.distributed.check_every) == (60.0, 10)
->>>>>>> theirs
