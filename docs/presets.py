@@ -72,11 +72,21 @@ def tasks_page() -> str:
         terms = "".join(f" {'-' if w < 0 else '+'} {abs(w):g} × `{metric}`" for metric, w in task.score.items())
         lines += ["", f"**Score for the best checkpoint.** success rate{terms}", "", "**Settings.**", ""]
         values = raw(CONF / "task" / f"{name}.yaml")
-        for entry in values.pop("defaults", []):
-            lines += [f"- `{str(group).removeprefix('override /')}={each}`" for group, each in entry.items()]
+        lines += defaults_of(values, "task")
         lines += [f"- `{key}={value}`" for key, value in flat(values)]
         lines += ["", f"Source: {{py:mod}}`{TASKS.module(name)}`.", ""]
     return "\n".join(lines)
+
+
+def defaults_of(values: dict[str, Any], group: str) -> list[str]:
+    """Take the defaults list from the values of a file, and return a line for each entry."""
+    lines = []
+    for entry in values.pop("defaults", []):
+        if isinstance(entry, dict):
+            lines += [f"- `{str(other).removeprefix('override /')}={each}`" for other, each in entry.items()]
+        elif entry != "_self_":
+            lines.append(f"- builds on `{group}={entry}`")
+    return lines
 
 
 def stages_page() -> str:
@@ -85,13 +95,8 @@ def stages_page() -> str:
     for name in options("stage"):
         values = raw(CONF / "stage" / f"{name}.yaml")
         about: Any = values.pop("stage", {})
-        bases = values.pop("defaults", [])
         lines += [f"## `stage={name}`", "", sentence(str(about.get("description", ""))), ""]
-        for entry in bases:
-            if isinstance(entry, dict):
-                lines += [f"- `{str(group).removeprefix('override /')}={each}`" for group, each in entry.items()]
-            elif entry != "_self_":
-                lines.append(f"- builds on `stage={entry}`")
+        lines += defaults_of(values, "stage")
         lines.append(f"- initial policy: {code(about.get('init_from')) if about.get('init_from') else 'from scratch'}")
         lines += [f"- `{key}={value}`" for key, value in flat(values)]
         lines.append("")

@@ -28,6 +28,10 @@ from typing import Any
 CONSOLE = re.compile(r"^```console\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 TIME = re.compile(r"^\[\d+ s, processor \d+ s\]$")
 CUT = "..."
+MOUNTED = (2.0, 4.5)
+"""Part of an episode in which the robot stands on its board, s."""
+PUSHED_STEPS = 6
+"""Control steps between the push and the picture."""
 WIDTH = 116
 """Characters of a line of output; longer ones are cut."""
 
@@ -125,7 +129,7 @@ class Shell:
 
 
 def push(address: str, picture: Path | None) -> None:
-    """Open the page of `play`, push the robot until it moves aside, and take a picture."""
+    """Open the page of `play`, push the robot when it stands on its board, and take a picture a moment later."""
     from playwright.sync_api import sync_playwright
 
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -137,21 +141,28 @@ def push(address: str, picture: Path | None) -> None:
         page.goto(address)
         page.wait_for_selector("#play-robot")
 
-        def robot() -> list[float]:
-            return [float(value) for value in page.inner_text("#play-robot").split()[:2]]
-
         def button(name: str) -> Any:
             return page.get_by_role("button", name=name, exact=True).first
 
-        begun = robot()
-        while robot() == begun:  # the scene is loaded and time passes
-            page.wait_for_timeout(500)
-        page.get_by_role("tab", name="Disturb").click()
-        button("Push robot").click()
-        page.wait_for_timeout(1500)
-        page.get_by_role("tab", name="Play").click()
+        def tab(name: str) -> None:
+            page.get_by_role("tab", name=name).click()
+
+        def seconds() -> float:
+            return float(page.inner_text("#play-episode").split()[0])
+
+        tab("Play")
+        while not MOUNTED[0] <= seconds() <= MOUNTED[1]:
+            page.wait_for_timeout(100)
         button("Pause").click()
-        page.get_by_role("tab", name="Disturb").click()
+        tab("Disturb")
+        button("Push robot").click()
+        tab("Play")
+        for _ in range(PUSHED_STEPS):
+            before = seconds()
+            button("Single step").click()
+            while seconds() == before:
+                page.wait_for_timeout(100)
+        tab("Disturb")
         page.add_style_tag(content="[class*=Notification]{display:none!important}")
         page.wait_for_timeout(8000)
         if picture is not None:

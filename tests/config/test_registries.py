@@ -152,8 +152,8 @@ def test_parameters_are_checked_by_the_constructor(module: Write) -> None:
             "callbacks=evalution must be one of curriculum, evaluation, logger, checkpoint, plot,",
         ),
         (
-            "logger.loggers=[wandb]",
-            "logger.loggers=wandb must be one of tensorboard, jsonl, or module:Class of your own",
+            "logger.loggers=[comet]",
+            "logger.loggers=comet must be one of tensorboard, jsonl, wandb, trackio, or module:Class of your own",
         ),
         ("logger.loggers=[jsonl]", "logger.loggers=jsonl: use logger.jsonl=true"),
         ("callbacks=[plot,plot]", "callbacks: plot is there twice"),

@@ -104,6 +104,8 @@ def tiny(words: list[str], program: str) -> list[str]:
     more = TINY[program]
     if program == "report" and not any(word.startswith("run=") for word in words) or "paper=true" in words:
         more = ["page.films=0"]
+    if program == "record" and any(word.startswith("episodes=") for word in words):
+        more = ["episodes=2" if word == "episode=0" else word for word in more]
     if "resume=latest" in words:
         more = ["total_frames=96"]
     if "curriculum=paper" in words:

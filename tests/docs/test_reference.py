@@ -54,7 +54,7 @@ def test_every_input_of_a_term_has_its_shape_and_every_setting_its_meaning(pages
         assert {name for name, _ in rows} == {field.name for field in dataclasses.fields(cls)}
         assert title == "context" or all(shape.startswith("`[N") for _, shape in rows)
     layout = JointLayout.of(A1)
-    rest, episode = SimState.at_rest(5, layout), EpisodeState.zeros(5, layout, 7)
+    rest, episode = SimState.at_rest(5, layout), EpisodeState.zeros(5, layout, 7, rides=True)
     # Only a sensed state has it.
     rest.board_age = rest.ground_height
     # Only a state of worlds with boards of their own has them.

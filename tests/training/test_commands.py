@@ -14,6 +14,7 @@ from skatemount.config import compose, set_user_config_dir, to_dict
 from skatemount.runs.checkpoint import POLICY_FILE, PolicyCard, save_policy
 from skatemount.runs.folder import RunFolder
 from skatemount.training.commands import next_commands, what_is_left
+from skatemount.utils.ranks import ALONE
 
 
 @pytest.fixture
@@ -59,7 +60,7 @@ def test_commands_name_the_modules_that_they_import(tmp_path: Path) -> None:
     run = made(tmp_path)
     for line in next_commands(run).splitlines()[1:]:
         assert "plugins=[my_nets]" in shlex.split(line)
-    assert what_is_left(SimpleNamespace(run=run, saved_frames=8, frames=8, stopping=False)) == (
+    assert what_is_left(SimpleNamespace(run=run, saved_frames=8, frames=8, stopping=False, ranks=ALONE)) == (
         f"8 steps are saved in {run.latest}; go on with: python -m skatemount.train resume={run.path} "
         "'plugins=[my_nets,my_hooks.mine]'"
     )

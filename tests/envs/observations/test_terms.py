@@ -278,6 +278,7 @@ def test_other_terms(context: TaskContext, make_state: MakeState, make_episode: 
         "board_age": [0.0],
         "base_lin_vel": [1, 2, 3],
         "feet_board": sim.foot_pos_board.flatten().tolist(),
+        "ride_command": [0, 0, 0],
     }
     for name, values in expected.items():
         assert one(context, name, sim, episode).tolist() == pytest.approx(values, abs=1e-6), name

@@ -248,7 +248,8 @@ def test_formula(
 
 
 def test_every_term_has_a_case() -> None:
-    assert {case[0] for case in CASES} == set(REWARDS.names())
+    of_rides = {"ride_yaw_rate", "ride_lean"}  # test_riding.py has them
+    assert {case[0] for case in CASES} | of_rides == set(REWARDS.names())
 
 
 def test_worlds_do_not_mix(context: TaskContext, make_state: MakeState, make_episode: MakeEpisode) -> None:

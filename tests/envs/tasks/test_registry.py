@@ -28,9 +28,11 @@ def registry() -> Iterator[None]:
 def test_every_module_and_every_file_of_settings_is_a_task(repo_root: Path) -> None:
     assert choices("task") == TASKS.names()
     for name in TASKS.names():
-        assert (repo_root / "skatemount" / "envs" / "tasks" / f"{name}.py").is_file()
+        # Tasks that judge the same ride in other ways share a module.
+        module = "ride" if name.startswith("ride") else name
+        assert (repo_root / "skatemount" / "envs" / "tasks" / f"{module}.py").is_file()
         assert load_file("task", name)["success"] == name
-        assert TASKS.module(name) == f"skatemount.envs.tasks.{name}"
+        assert TASKS.module(name) == f"skatemount.envs.tasks.{module}"
 
 
 def test_a_task_is_found_by_its_name() -> None:

@@ -87,7 +87,7 @@ def task(measure: Any = None, **fields: Any) -> TaskDefinition:
 )
 def test_a_function_that_cannot_be_used_is_one_line(made: dict[str, Any], said: str, context: TaskContext) -> None:
     with pytest.raises(ConfigError) as error:
-        try_task(task(**made), context, 7, torch.device("cpu"))
+        try_task(task(**made), context, lambda n: EpisodeState.zeros(n, context.layout, 7))
     text = str(error.value)
     assert text.startswith(f"task 'jump'{said}") and "\n" not in text
     if " failed " in text:
@@ -96,7 +96,7 @@ def test_a_function_that_cannot_be_used_is_one_line(made: dict[str, Any], said: 
 
 def test_the_tasks_of_the_package_pass_and_their_inputs_are_whole_states(context: TaskContext) -> None:
     for name in TASKS.names():
-        try_task(TASKS.get(name), context, 7, torch.device("cpu"))
+        try_task(TASKS.get(name), context, lambda n: EpisodeState.zeros(n, context.layout, 7, rides=True))
     sizes = {value for name, value in vars(defaults.LAYOUT).items() if name.startswith("num_")}
     assert WORLDS not in {2, 3, 4, len(defaults.LAYOUT.joints), len(defaults.LAYOUT.bodies), *sizes}
 
