@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import json
@@ -81,11 +82,19 @@ class Folder:
 
 
 def check_output(path: Path) -> None:
-    """Raise `ConfigError` unless a folder can be replaced: it must be new, empty, or an earlier export."""
-    if path.is_dir() and any(path.iterdir()) and not (path / "card.json").is_file():
-        raise ConfigError(f"output={path} has other files; give a new folder, or that of an earlier export")
+    """Raise `ConfigError` unless a folder can be replaced: it must be new, empty, or hold an earlier export alone."""
     if path.exists() and not path.is_dir():
         raise ConfigError(f"output={path} is a file; it must name a folder")
+    found = [str(each.relative_to(path)) for each in sorted(path.rglob("*")) if each.is_file()]
+    written: set[str] = set()
+    if "card.json" in found:
+        with contextlib.suppress(ValueError, AttributeError, TypeError):  # another program's card.json
+            listed = json.loads((path / "card.json").read_text(encoding="utf-8")).get("files", ())
+            written = {"card.json", "policy.pt2", *listed}
+    if others := [name for name in found if name not in written]:
+        raise ConfigError(
+            f"output={path} has other files, such as {others[0]}; give a new folder, or that of an earlier export"
+        )
 
 
 def write_folder(

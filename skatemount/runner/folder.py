@@ -101,6 +101,8 @@ class PolicyFolder:
         if not isinstance(self.card, dict) or self.card.get("format") != FORMAT:
             found = self.card.get("format") if isinstance(self.card, dict) else None
             raise RunnerError(f"{file}: has format {found}, this version reads {FORMAT}; export the policy again")
+        if "files" not in self.card:
+            raise RunnerError(f"{file}: was exported with format=torch; the runner needs format=onnx")
         for name, digest in self.card["files"].items():
             part = self.path / name
             if not part.resolve().is_relative_to(self.path.resolve()):

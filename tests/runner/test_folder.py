@@ -103,4 +103,6 @@ def test_an_export_replaces_only_an_export(copied: Path, tmp_path: Path) -> None
     check_output(other)
     (other / "thesis.tex").write_text("")
     assert "has other files" in message(check_output, other, error=ConfigError)
+    (copied / "drive.py").write_text("mine")
+    assert "has other files, such as drive.py" in message(check_output, copied, error=ConfigError)
     assert "is a file" in message(check_output, other / "thesis.tex", error=ConfigError)
