@@ -116,7 +116,7 @@ class Shell:
     def play(self, command: str, picture: Path | None) -> tuple[int, str, float]:
         """Run `play` until its page has been opened and its robot pushed; return the same as `run`."""
         log = "${TMPDIR:-/tmp}/play.log"
-        self.run(f"{command} open_browser=false >{log} 2>&1 & playing=$!")
+        self.run(f"{command} open_browser=false plain=true >{log} 2>&1 & playing=$!")
         while "http://" not in (printed := self.run(f"cat {log}")[1]):
             if self.run("kill -0 $playing")[0]:
                 raise RuntimeError(f"play ended: {printed}")
