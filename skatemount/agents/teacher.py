@@ -19,7 +19,7 @@ class Teacher:
     with several frames gets the earlier ones from the steps of the batch.
 
     Args:
-        agent: The policy.
+        agent: The policy, on the device of the batches.
         task: Task of the training.
         where: Setting that names the policy, for messages.
 
@@ -51,7 +51,8 @@ class Teacher:
             for age in reversed(range(entry.get("history_length", 1))):
                 inputs.append(part)
                 ages.append(torch.full_like(part, age))
-        self._columns, self._ages = torch.cat(inputs), torch.cat(ages)
+        device = next(self._actor.parameters()).device
+        self._columns, self._ages = torch.cat(inputs).to(device), torch.cat(ages).to(device)
 
     @torch.no_grad()
     def __call__(self, batch: TensorDictBase) -> Tensor:

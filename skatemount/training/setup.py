@@ -66,8 +66,8 @@ def load_initial_policy(
     return spec if spec == agent.spec else f"{spec} ({agent.spec})", parent
 
 
-def load_teacher(config: TrainConfig, task: MountTask) -> Teacher | None:
-    """Load the policy that a training imitates; None without ``algorithm.teacher``.
+def load_teacher(config: TrainConfig, task: MountTask, device: torch.device) -> Teacher | None:
+    """Load the policy that a training imitates to a device; None without ``algorithm.teacher``.
 
     ``algorithm.teacher`` of the settings becomes the name that loads the same policy again.
 
@@ -77,5 +77,6 @@ def load_teacher(config: TrainConfig, task: MountTask) -> Teacher | None:
     if (spec := config.algorithm.teacher) is None:
         return None
     agent = TrainedPolicy.load(spec, config.logger.root, "algorithm.teacher")
+    agent.to(device)
     config.algorithm.teacher = agent.spec
     return Teacher(agent, task, f"algorithm.teacher={spec}")

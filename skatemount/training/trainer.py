@@ -111,7 +111,7 @@ class Trainer:
             bf16=config.precision == "bf16",
             generator=self.minibatch_generator,
         )
-        self.algorithm.teacher = load_teacher(config, self.task)
+        self.algorithm.teacher = load_teacher(config, self.task, device)
         self.curriculum = make_curriculum(config.curriculum, self.task.scene.deck_height, device)
         if self.curriculum is not None:
             self.env.listeners.append(self.curriculum.observe_step)
