@@ -260,15 +260,17 @@ def _place(program: str, settings: Sequence[str]) -> tuple[Path, str]:
 
 
 def _pin(sweep: SweepFolder, settings: Sequence[str]) -> None:
-    """Let ``init_from=latest`` mean the same policy in all jobs, not the run of the job before."""
-    asked = [each.partition("=")[2] for each in settings if key_of(each) == "init_from"]
-    named = {value for each in asked for value in each.split(",")} & {"latest", "best"}
+    """Let a setting such as ``init_from=latest`` mean the same policy in all jobs, not the run of the job before."""
+    named: dict[str, str] = {}
+    for each in settings:
+        if (key := key_of(each)) in ("init_from", "algorithm.teacher"):
+            named |= {value: key for value in each.partition("=")[2].split(",") if value in ("latest", "best")}
     if not named:
         return
     from skatemount.runs.find import find_checkpoint  # imports torch
 
     root = sweep.path.parent.parent
-    sweep.pin({name: str(find_checkpoint(name, root, "init_from")) for name in sorted(named)})
+    sweep.pin({name: str(find_checkpoint(name, root, setting)) for name, setting in named.items()})
 
 
 def _finish(sweep: SweepFolder) -> bool:

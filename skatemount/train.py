@@ -110,8 +110,11 @@ def _of_job(config: TrainConfig, job: Job) -> tuple[TrainConfig, list[str]]:
         started = None
     if started is None:
         config.logger.name = job.free_name()
+        pinned = job.sweep.pinned
         if config.init_from is not None:
-            config.init_from = job.sweep.pinned.get(config.init_from, config.init_from)
+            config.init_from = pinned.get(config.init_from, config.init_from)
+        if config.algorithm.teacher is not None:
+            config.algorithm.teacher = pinned.get(config.algorithm.teacher, config.algorithm.teacher)
         return config, job.overrides
     print(f"resumes {started}", flush=True)
     config.resume = str(started)

@@ -218,19 +218,22 @@ def test_latest_means_the_same_policy_in_all_jobs(command: Callable[..., Any], r
     seen: list[Any] = []
 
     def verb(config: Any, overrides: list[str], job: Job) -> float:
-        seen.append(_of_job(config, job)[0].init_from)
+        config = _of_job(config, job)[0]
+        seen.append((config.init_from, config.algorithm.teacher))
         checkpoint("a_newer_one")
         if config.seed == 2 and len(seen) == 2:
             raise ValueError
         return Score.of(1, 2)
 
     for _ in range(2):
-        command(verb, "-m", "stage=balance", "init_from=latest,null", "seed=2")
-    assert seen == [str(before), None, None]
+        command(verb, "-m", "stage=balance", "init_from=latest,null", "algorithm.teacher=latest", "seed=2")
+    assert seen == [(str(before), str(before)), (None, str(before)), (None, str(before))]
     (sweep,) = (p for p in sweeps(runs_root))
     assert json.loads((sweep / "sweep.json").read_text())["pinned"] == {"latest": str(before)}
     status, _, err = command(verb, "-m", "stage=balance", "init_from=latest,null", "logger.root=none")
     assert status == 2 and "init_from=latest: no run in none has a checkpoint; there are: pretrained:anywhere" in err
+    status, _, err = command(verb, "-m", "stage=balance", "algorithm.teacher=latest,null", "logger.root=none")
+    assert status == 2 and "algorithm.teacher=latest: no run in none has a checkpoint" in err
     assert list(Path("none").glob("*/*")) == []
 
 
