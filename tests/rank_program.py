@@ -1,6 +1,7 @@
-"""What the ranks of a test train: `torchrun rank_program.py SETTINGS.json`, a list of lists of settings.
+"""Train with the ranks of a test: `torchrun rank_program.py SETTINGS.json`.
 
-All ranks run it. A run whose settings have ``resume`` goes on with the run of the list before.
+The file has one list of settings for each training. All ranks run the program. A training whose settings have
+``resume`` continues the run of the list before.
 """
 
 from __future__ import annotations

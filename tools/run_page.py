@@ -1,7 +1,7 @@
 """Run the commands of a page of the docs, in order, and put what they print and how long they take into the page.
 
     python tools/run_page.py docs/quickstart.md --folder ../clone
-    python tools/run_page.py docs/tutorials/sweep.md --folder /tmp/sweep --only 1 2
+    python tools/run_page.py docs/tutorials/sweep.md --folder ../sweep --only 1 2
 
 Commands stand in blocks of the kind `console`, after a dollar sign. All run in one shell, so that `cd` and an activated
 environment last. A block with one command gets its output. The number of lines stays: a block with a line `...` keeps
@@ -117,11 +117,11 @@ class Shell:
         """Run `play` until its page has been opened and its robot pushed; return the same as `run`."""
         log = "${TMPDIR:-/tmp}/play.log"
         self.run(f"{command} open_browser=false plain=true >{log} 2>&1 & playing=$!")
-        while "http://" not in (printed := self.run(f"cat {log}")[1]):
+        while (address := re.search(r"http://\S+", printed := self.run(f"cat {log}")[1])) is None:
             if self.run("kill -0 $playing")[0]:
                 raise RuntimeError(f"play ended: {printed}")
             time.sleep(0.2)
-        push(re.search(r"http://\S+", printed)[0], picture)  # type: ignore[index]
+        push(address[0], picture)
         processor = self.run("ps -o cputimes= -p $playing")[1]
         # A program that a shell without job control starts in the background ignores SIGINT.
         status = self.run("kill -TERM $playing; wait $playing")[0]

@@ -137,8 +137,8 @@ class CommandGenerator:
     def _update_rides(self, sim: SimState, episode: EpisodeState) -> None:
         """Set the commands of the rides.
 
-        A ride begins once the robot has been mounted for the time of the settings, and ends when it no longer is. A
-        board that already rolls keeps its speed as the first one.
+        A ride begins once the robot has been mounted for the time of the settings, and ends when it no longer is. The
+        first commanded speed on a board that rolls is the board's own, within the limits of the settings.
         """
         before, steps, sums = episode.ride_command, episode.ride_steps, episode.ride_sums
         assert before is not None and steps is not None and sums is not None

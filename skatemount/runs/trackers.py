@@ -28,8 +28,8 @@ class Tracker(ABC):
     """Base class of the experiment trackers.
 
     The project is the run's ``logger.experiment``. The name is that of the run folder, after the names of the sweep and
-    of the chain that it belongs to. ``<tracker>.json`` in the
-    run folder keeps the run's id, so a training that resumes continues the same run, and which files were sent.
+    of the chain that it belongs to. ``<tracker>.json`` in the run folder keeps the run's id, so a training that resumes
+    continues the same run. The file also says which files were sent.
 
     Args:
         run: The run folder.

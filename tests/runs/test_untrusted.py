@@ -214,10 +214,10 @@ STATES: list[tuple[Change, str]] = [
 def test_a_state_of_wrong_types_and_a_fitting_checksum(
     copied: RunFolder, trainer: Trainer, change: Change, expected: str
 ) -> None:
-    assert copied.latest is not None
+    assert (checkpoint := copied.latest) is not None
     edit_state(copied, change)
-    text = message(lambda: trainer.state.restore(copied.latest))  # type: ignore[arg-type]
-    assert str(copied.latest) in text and expected in text
+    text = message(lambda: trainer.state.restore(checkpoint))
+    assert str(checkpoint) in text and expected in text
 
 
 def test_settings_whose_network_was_edited_before_a_resume(copied: RunFolder) -> None:

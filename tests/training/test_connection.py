@@ -1,4 +1,4 @@
-"""What ranks learn from the store that they share: who is late, who has ended, who is missing, and what is trained."""
+"""A store that all ranks share tells them which rank is late, has ended, or is missing, and what to train."""
 
 from __future__ import annotations
 

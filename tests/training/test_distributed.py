@@ -55,10 +55,16 @@ def weights(run: RunFolder) -> dict[str, torch.Tensor]:
     return load_policy(run.latest)[0][MODULE]
 
 
+def state_of(run: RunFolder) -> dict[str, Any]:
+    """Return the training state of a run's latest checkpoint."""
+    assert run.latest is not None
+    return load_training_state(run.latest)
+
+
 def left_by(run: RunFolder) -> dict[str, Any]:
     """Return everything in a run's latest checkpoint but the clock, by path."""
     assert run.latest is not None
-    state = {"training": load_training_state(run.latest), "worlds": load_world_state(run.latest)}
+    state = {"training": state_of(run), "worlds": load_world_state(run.latest)}
     leaves: dict[str, Any] = {}
 
     def add(value: Any, where: str) -> None:
@@ -126,7 +132,7 @@ def test_two_ranks_make_the_first_update_of_one_process(alone: RunFolder, runs: 
             two[name], value, rtol=2e-5, atol=2e-6, msg=lambda text, name=name: f"{name}: {text}"
         )
     # The first step of Adam is as large as the learning rate in every weight, so it would hide a wrong scale.
-    moments = [load_training_state(run.latest)["ppo"]["optimizer"] for run in (alone, runs["same"])]  # type: ignore[arg-type]
+    moments = [state_of(run)["ppo"]["optimizer"] for run in (alone, runs["same"])]
     for name, state in moments[0].items():
         torch.testing.assert_close(moments[1][name]["exp_avg"], state["exp_avg"], rtol=1e-3, atol=1e-7)
     first, second = rows(alone)[-1], rows(runs["same"])[-1]
@@ -192,7 +198,7 @@ def test_one_process_resumes_what_two_ranks_saved(
     finally:
         trainer.close()
     assert trainer.frames == 7 * BOTH
-    assert "ranks" not in load_training_state(run.latest)["progress"]  # type: ignore[arg-type]
+    assert "ranks" not in state_of(run)["progress"]
 
 
 def command(root: Path, callback: str, iterations: int = 4) -> list[str]:
@@ -224,7 +230,7 @@ def test_a_signal_to_one_rank_ends_all_after_the_same_iteration(tmp_path: Path) 
     done = torchrun(*command(tmp_path, "AskedToEnd"), status=1)
     assert re.search(r"ended by SIGTERM; 192 steps are saved in .*; go on with: torchrun --nnodes=1 ", done.stderr)
     run = the_run(tmp_path)
-    assert load_training_state(run.latest)["progress"] | {"elapsed": 0} == {  # type: ignore[arg-type]
+    assert state_of(run)["progress"] | {"elapsed": 0} == {
         "frames": 3 * BOTH, "iteration": 3, "elapsed": 0, "device": "cpu", "ranks": 2,
     }  # fmt: skip
 
@@ -250,7 +256,7 @@ def test_four_ranks_keep_the_same_weights_for_100_iterations(tmp_path: Path) -> 
     given = [*QUIET, *AUTO, f"total_frames={100 * 4 * BATCH}", f"logger.root={tmp_path}"]
     torchrun("-m", "skatemount.train", *given, ranks=4)
     assert len(rows(the_run(tmp_path))) == 100
-    assert load_training_state(the_run(tmp_path).latest)["progress"]["ranks"] == 4  # type: ignore[arg-type]
+    assert state_of(the_run(tmp_path))["progress"]["ranks"] == 4
 
 
 @pytest.mark.slow
@@ -260,4 +266,4 @@ def test_two_ranks_train_a_chain_of_stages(tmp_path: Path) -> None:
     done = torchrun("-m", "skatemount.train", *given, "logger.evaluate_every=1000", "logger.evaluate_episodes=1")
     parts = the_run(tmp_path).parts
     assert len(parts) >= 3 and all(rows(part) for part in parts), done.stdout
-    assert all(load_training_state(part.latest)["progress"]["ranks"] == 2 for part in parts)  # type: ignore[arg-type]
+    assert all(state_of(part)["progress"]["ranks"] == 2 for part in parts)

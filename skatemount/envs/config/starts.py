@@ -35,8 +35,7 @@ class StartConfig:
         step_height: Height of the deck above the robot's floor, m; that of the board if null. The robot's floor is
             raised to make the step lower.
         board_fixed: Fraction of the starts with the deck welded to the world.
-        board_speed: Speed at which a free board rolls along its x axis, m/s. A fixed board is at
-            rest.
+        board_speed: Speed at which a free board rolls along its x axis, m/s. A fixed board is at rest.
         either_way: True if the direction of ``board_speed`` is drawn. False if boards roll along their x axis, which is
             forward for a robot of yaw 0.
         board_lean: Roll of the deck of a free board about its long axis, rad; positive to the right. It is for robots

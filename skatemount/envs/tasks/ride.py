@@ -30,8 +30,8 @@ MAX_RADIUS = 1.4
 def follows(ride: Ride) -> Tensor:
     """Test whether rides follow their commands.
 
-    The mean error of the turning rate, |omega - kappa* v|, is at most 0.08 rad/s and at most half of the mean commanded
-    one, |kappa* v|, but never asked to be below 0.03 rad/s. So a board that rolls straight does not pass where it is
+    The mean error of the turning rate, |omega - kappa* v|, must be at most half of the mean commanded one, |kappa* v|;
+    this bound is at least 0.03 and at most 0.08 rad/s. So a board that rolls straight does not pass where it is
     commanded to turn. The mean error of the speed is at most half of the mean commanded speed, so a board at rest does
     not pass.
 
