@@ -131,13 +131,20 @@ class Mdp:
         self.memory.allocate(num_worlds)
         self.sensing.allocate(num_worlds)
 
-    def begin(self, sim: SimState, bins: Tensor | None = None, rows: Tensor | None = None) -> EpisodeState:
+    def begin(
+        self,
+        sim: SimState,
+        bins: Tensor | None = None,
+        rows: Tensor | None = None,
+        dynamics: Tensor | None = None,
+    ) -> EpisodeState:
         """Begin new episodes.
 
         Args:
             sim: ``[N]`` start states.
             bins: ``[N]`` int64, the curriculum bins of the start states; -1 for none. All -1 if None.
             rows: ``[N]`` int64, the worlds of the states in `memory`. None if there are no other worlds.
+            dynamics: ``[N, 8]`` physics of the worlds, see `EpisodeState`; all 0 if None.
 
         Returns:
             ``[N]`` episodes at their start.
@@ -145,6 +152,8 @@ class Mdp:
         fresh = self.no_episodes(sim.base_pos.shape[0])
         if bins is not None:
             fresh.bin = bins
+        if dynamics is not None:
+            fresh.dynamics = dynamics
         distance = torch.linalg.vector_norm(sim.board_pos[:, :2] - sim.base_pos[:, :2], dim=-1)
         on_deck = success.feet_on_deck(sim)
         fresh.on_deck = on_deck

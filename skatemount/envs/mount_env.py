@@ -241,7 +241,8 @@ class MountEnv(EnvBase):
                 self._pushes.restart(mask)
             self.statistics.restart(mask)
             sim = self.physics.state(rows)
-            begun = self.mdp.begin(sim, start.bin, rows)
+            dynamics = self._randomizer.dynamics(self.physics, rows)
+            begun = self.mdp.begin(sim, start.bin, rows, dynamics)
             if self._random_phase and not self._begun:
                 most, here = self.mdp.context.episode_steps, self.device
                 begun.step = torch.randint(most, (len(rows),), generator=self.generator, device=here)
@@ -359,6 +360,9 @@ class MountEnv(EnvBase):
         """
         self.physics.load_state_dict(state["physics"])
         tensors = {name: values.to(self.device) for name, values in state["episode"].items()}
+        # Saved states of older versions lack some. Mypy does not know the methods of a tensorclass.
+        fresh = self.mdp.no_episodes(self.num_worlds).to_tensordict()  # type: ignore[attr-defined]
+        tensors = {**fresh, **tensors}
         episode = TensorDict(tensors, [self.num_worlds])
         self._episode = EpisodeState.from_tensordict(episode)  # type: ignore[attr-defined]
         self.mdp.memory.load_state_dict(state["memory"])

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from skatemount.envs.config.randomization import RandomizationConfig
-from skatemount.envs.entities.quadruped import scale_gains, scale_torque_limit
+from skatemount.envs.entities.quadruped import KD_INDEX, KP_INDEX, scale_gains, scale_torque_limit
 from skatemount.envs.sampling import uniform
 from skatemount.envs.scene import SceneIndex
 
@@ -133,6 +133,45 @@ class Randomizer:
             factor = self._log_uniform(c.torque_limit, motors)
             motors, limits[rows] = scale_torque_limit(motors, nominal.expand(len(rows), -1, -1), factor)
         field[rows] = motors
+
+    def dynamics(self, physics: ModelFields, rows: Tensor) -> Tensor:
+        """Return the physics of some worlds that no sensor of the robot measures.
+
+        Args:
+            physics: The worlds.
+            rows: ``[K]`` int64.
+
+        Returns:
+            ``[K, 8]`` float32: factor of the friction; mass added to the trunk, kg; mass of the deck, kg; stiffness of
+            the trucks, N m/rad; factors of the position gain, the velocity gain and the torque limit; delay of the
+            targets, s.
+        """
+        c, index, motor = self.config, self._index, int(self._index.actuators[0])
+
+        def entry(varies: bool, name: str, *at: int) -> tuple[Tensor, Tensor]:
+            """Return an entry of a field in these worlds, ``[K]``, and its nominal value."""
+            nominal = torch.tensor(getattr(self._model, name)[at], dtype=torch.float32, device=rows.device)
+            # Asking an engine for a field gives every world its own, which takes memory.
+            if varies or name in self._of_boards:
+                values = physics.field(name)[rows]
+                for i in at:
+                    values = values.select(1, i)
+                return values.float(), nominal
+            return nominal.expand(len(rows)), nominal
+
+        masses_vary = c.trunk_mass != _NOTHING_ADDED or c.board_mass != _FACTOR_1
+        gains_vary = c.kp != _FACTOR_1 or c.kd != _FACTOR_1 or c.torque_limit != _FACTOR_1
+        friction, usual_friction = entry(c.friction != _FACTOR_1, "geom_friction", int(index.touched_geoms[0]), 0)
+        trunk, usual_trunk = entry(masses_vary, "body_mass", index.trunk_body)
+        deck, _ = entry(masses_vary, "body_mass", index.board_body)
+        trucks, _ = entry(c.truck_stiffness != _FACTOR_1, "jnt_stiffness", int(index.truck_joints[0]))
+        kp, usual_kp = entry(gains_vary, "actuator_gainprm", motor, KP_INDEX)
+        kd, usual_kd = entry(gains_vary, "actuator_gainprm", motor, KD_INDEX)
+        limit, usual_limit = entry(c.torque_limit != _FACTOR_1, "actuator_forcerange", motor, 1)
+        delay, _ = entry(bool(self._model.nhistory), "actuator_delay", motor)
+        columns = [friction / usual_friction, trunk - usual_trunk, deck, trucks]
+        columns += [kp / usual_kp, kd / usual_kd, limit / usual_limit, delay]
+        return torch.stack(columns, 1)
 
 
 class Pushes:

@@ -214,6 +214,8 @@ class EpisodeState:
         board_direction: ``[N, 1]``, 1 if the board's x axis points to the end that the trunk faces, else -1; see
             `skatemount.envs.geometry.board_direction`.
         observation: ``[N, O]`` present observation of the policy, its history included.
+        dynamics: ``[N, 8]`` physics of the world, which sensors do not show; see
+            `skatemount.envs.randomization.Randomizer.dynamics`. All 0 until the world's first episode begins.
         ride_command: ``[N, 3]`` phase, speed (m/s) and curvature (1/m, positive to the left) of the board's path. The
             phase is 1 while the robot is to ride, else 0 as are the other two. None if no ride is commanded.
         ride_steps: ``[N]`` int64, control steps of the present ride; None if no ride is commanded.
@@ -242,6 +244,7 @@ class EpisodeState:
     start: Tensor
     board_direction: Tensor
     observation: Tensor
+    dynamics: Tensor
     ride_command: Tensor | None = None
     ride_steps: Tensor | None = None
     ride_sums: Tensor | None = None
@@ -292,6 +295,7 @@ class EpisodeState:
             start=f(n, 3),
             board_direction=full((n, 1), 1.0),
             observation=f(n, observation_size),
+            dynamics=f(n, 8),
             ride_command=f(n, 3) if rides else None,
             ride_steps=f(n, dtype=torch.int64) if rides else None,
             ride_sums=f(n, 8) if rides else None,

@@ -75,6 +75,7 @@ class MountTask(composer.Task):
         self._outcome: StepResult | None = None
         self._sim: SimState | None = None
         self._pushes: Pushes | None = None
+        self._dynamics: Tensor | None = None
         self.set_timesteps(self.scene.solver.control_step, self.scene.solver.timestep)
         self._observables = {
             "observation": observable.Generic(lambda physics: self._observe(physics)[0][0].numpy()),
@@ -201,6 +202,7 @@ class MountTask(composer.Task):
         randomizer.new_episodes(world, torch.zeros(1, dtype=torch.int64))
         self._pushes = Pushes(self.config.randomization, 1, self._mdp.context.control_step, self._generator)
         self._mdp.sensing.delay_targets(world, torch.zeros(1, dtype=torch.int64))
+        self._dynamics = randomizer.dynamics(world, torch.zeros(1, dtype=torch.int64))
         self.start(physics, self._sampler.draw(1, self._generator))
 
     @plain_defaults
@@ -234,7 +236,7 @@ class MountTask(composer.Task):
         physics.forward()
         # Kept because composer computes the reset state again with the actuators off, which changes contact forces.
         self._sim = self._state(physics)
-        self._episode = self._mdp.begin(self._sim)
+        self._episode = self._mdp.begin(self._sim, dynamics=self._dynamics)
         self._outcome = None
 
     @plain_defaults

@@ -69,6 +69,38 @@ def everywhere() -> Tensor:
     return torch.arange(WORLDS)
 
 
+def test_dynamics_are_the_physics_that_was_drawn() -> None:
+    wide = [0.5, 2.0]
+    motors = {"kp": wide, "kd": wide, "torque_limit": wide}
+    fields, randomizer = build(friction=wide, trunk_mass=[-1.0, 3.0], board_mass=wide, truck_stiffness=wide, **motors)
+    randomizer.new_episodes(fields, everywhere())
+    rows = torch.tensor([7, 3, 390])
+    friction, trunk, deck, trucks, kp, kd, limit, delay = randomizer.dynamics(fields, rows).T
+    index, motor = fields.index, fields.index.actuators[-1]
+    expected = {
+        "friction": (friction, fields.ratio("geom_friction")[rows, index.touched_geoms[-1], 0]),
+        "trunk": (trunk, fields.added("body_mass")[rows, index.trunk_body]),
+        "deck": (deck, fields.field("body_mass")[rows, index.board_body]),
+        "trucks": (trucks, fields.field("jnt_stiffness")[rows, index.truck_joints[-1]]),
+        "kp": (kp, fields.ratio("actuator_gainprm")[rows, motor, KP_INDEX]),
+        "limit": (limit, fields.ratio("actuator_forcerange")[rows, motor, 1]),
+    }
+    for name, (found, drawn) in expected.items():
+        torch.testing.assert_close(found, drawn.float(), msg=name)
+        assert len(found.unique()) == 3, name
+    assert len(kd.unique()) == 3 and not torch.equal(kd, kp) and (delay == 0).all()
+
+
+def test_dynamics_of_nominal_worlds_give_no_world_fields_of_its_own() -> None:
+    fields, randomizer = build()
+    found = randomizer.dynamics(fields, torch.arange(2))
+    model, index = fields.model, fields.index
+    deck, trucks = model.body_mass[index.board_body], model.jnt_stiffness[index.truck_joints[0]]
+    nominal = torch.tensor([1.0, 0.0, float(deck), float(trucks), 1.0, 1.0, 1.0, 0.0])
+    torch.testing.assert_close(found, nominal.repeat(2, 1))
+    assert not fields.fields
+
+
 def test_without_ranges_nothing_is_touched() -> None:
     fields, randomizer = build()
     randomizer.new_episodes(fields, everywhere())

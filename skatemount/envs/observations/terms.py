@@ -351,3 +351,13 @@ def heights(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tenso
 def mounted_time(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Return the time that the robot has been mounted without a break, at most 1 s, ``[N, 1]`` s."""
     return episode.mounted_time.clamp(max=HOLD).unsqueeze(-1)
+
+
+@observation(8, "scalars")
+def dynamics(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
+    """Return the physics that `randomization`, `boards` and `sensing` drew for the world, ``[N, 8]``.
+
+    Factor of the friction; mass added to the trunk, kg; mass of the deck, kg; stiffness of the trucks, N m/rad; factors
+    of the position gain, the velocity gain and the torque limit; delay of the targets, s.
+    """
+    return episode.dynamics
