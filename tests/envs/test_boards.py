@@ -35,6 +35,7 @@ EVERY_BOARD_TERM = [
     "+observation.privileged.outline={params: {points: 10}}",
     "+reward.orientation_paper={weight: 1.0, params: {gate: 0.38}}",
     "reward.feet_near_edge.weight=1.0",
+    "+reward.deck_margin={weight: 1.0, params: {margin: 0.08}}",
 ]
 STILL = [f"start.{name}=[0.0,0.0]" for name in ("roll", "pitch", "height", "joint_pos", "lin_vel", "ang_vel")]
 
@@ -105,7 +106,7 @@ def test_terms_success_and_command_are_those_of_a_task_with_that_board_only(
         np.testing.assert_allclose(found[name], value, atol=2e-6, rtol=1e-5, err_msg=name)
     differ = {name for name, value in default.items() if not torch.allclose(found[name], value, atol=5e-6)}
     of_sizes = {"observation", "privileged", "command", "soft_success", "feet_proximity", "orientation_paper"}
-    assert not (of_sizes | {"feet_near_edge"}) - differ
+    assert not (of_sizes | {"feet_near_edge", "deck_margin"}) - differ
 
 
 def test_a_starting_robot_stands_on_its_own_deck_or_beside_it(make_env: Callable[..., MountEnv]) -> None:

@@ -212,6 +212,32 @@ def feet_near_edge(
 
 
 @penalty
+def deck_margin(sim: SimState, episode: EpisodeState, context: TaskContext, margin: float = 0.03) -> Tensor:
+    """Penalize feet close to the edge of the deck: the sum over feet on the deck of 1 - d / margin, at least 0 (ours).
+
+    d is the distance from the center of the foot to the nearest edge of its own board's deck, m.
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        margin: Distance from the edge at which the penalty begins, m.
+    """
+    beyond_x, beyond_y = beyond_rectangle(sim.foot_pos_board, context.deck_half_of(sim))
+    inside = -torch.maximum(beyond_x, beyond_y)
+    return ((1 - inside / margin).clamp(0.0, 1.0) * episode.on_deck).sum(-1)
+
+
+@penalty
+def feet_creep(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
+    """Penalize feet that creep on the deck: the sum of their x-y speeds on the board while mounted, m/s (ours).
+
+    A foot that pushes sideways creeps, because friction in MuJoCo is soft, and slips off the deck after some seconds.
+    """
+    return torch.linalg.vector_norm(sim.foot_vel_board[..., :2], dim=-1).sum(-1) * episode.mounted
+
+
+@penalty
 def still(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Penalize moving on the board: the trunk's x-y speed relative to it, trunk frame, while mounted, m/s (ours)."""
     relative = sim.base_lin_vel - rotate_inverse(sim.base_rot, sim.board_lin_vel)

@@ -215,6 +215,17 @@ CASES: list[tuple[str, dict, dict, dict, float]] = [
         {"on_deck": [1, 1, 0, 0]},
         0.3,
     ),
+    # The deck is 0.575 x 0.25 m: feet 25 and 5 mm inside of its side, 10 mm beyond its end, and one in the air.
+    (
+        "deck_margin",
+        {"margin": 0.05},
+        at_deck((0.2, -0.1, 0.02), (0.1, 0.12, 0.02), (-0.2975, 0.0, 0.02), (0.0, 0.12, 0.1)),
+        {"on_deck": [1, 1, 1, 0]},
+        0.5 + 0.9 + 1.0,
+    ),
+    ("deck_margin", {}, at_deck(*[(0.2, 0.09, 0.02)] * 4), {"on_deck": [1, 1, 1, 1]}, 0.0),
+    ("feet_creep", {}, {"foot_vel_board": [[0.03, 0.04, 9]] * 4}, {"mounted": True}, 0.2),
+    ("feet_creep", {}, {"foot_vel_board": [[0.03, 0.04, 9]] * 4}, {}, 0.0),
     # The board under the robot moves as fast as it: nothing to still.
     (
         "still",
