@@ -1,9 +1,12 @@
-"""Compare three ways to learn mounting, with the same seeds and number of steps, and write a table and a figure.
+"""Compare five ways to learn mounting, with the same seeds and number of steps, and write a table and a figure.
 
     python benchmarks/compare_curricula.py --frames 4000000 --seeds 0 1 2
 
 * auto: stage unfixed with the automatic reverse curriculum, from scratch;
-* paper: the paper's chain of stages, from gait to unfixed, within the same total number of steps;
+* grown: the paper's chain of stages, from gait to unfixed, within the same total number of steps. The stages that learn
+  to mount grow their region of initial states;
+* paper: the same chain as in the paper's text, each stage with its own initial states throughout;
+* mixture: stage unfixed from scratch, with all initial states of the automatic curriculum from the first iteration;
 * forward: starts anywhere in a square of 2 x 2 m, from scratch and without a curriculum. The paper reports that this
   baseline fails.
 
@@ -43,14 +46,16 @@ from skatemount.training.plots import COLORS
 
 METHODS = {
     "auto": ["+stage=unfixed", "+curriculum=auto", "init_from=null"],
+    "grown": ["+curriculum=grown"],
     "paper": ["+curriculum=paper"],
+    "mixture": ["+stage=unfixed", "+curriculum=mixture", "init_from=null"],
     "forward": ["+stage=forward", "init_from=null"],
 }
-GATED = {"paper": 20}
+GATED = {"grown": 20, "paper": 20}
 """Number of evaluations in a whole training, for the gates of a chain's stages; they do not count as steps."""
 SUITES = ("mount-fixed", "mount-unfixed", "approach-fixed", "approach-unfixed")
 TRANSFER = "paper, end of approach"
-LINES = tuple(zip(COLORS, ("-", "--", ":")))
+LINES = tuple(zip(COLORS, ("-", "--", ":", "-.", (0, (5, 1)))))
 """Color and style of each method's curve, both different, because curves may coincide."""
 
 

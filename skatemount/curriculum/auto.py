@@ -140,11 +140,15 @@ class AutoCurriculum:
         """Return the counts of episodes and successes, which several ranks add up; see `Curriculum.tallies`."""
         return [self.episodes, self.successes]
 
-    def update(self) -> None:
-        """Limit the counts to the window of recent episodes, and open bins next to solved ones."""
+    def fade(self) -> None:
+        """Limit the counts to the window of recent episodes."""
         fade = (self.config.window / self.episodes.clamp(min=1e-6)).clamp(max=1.0)
         self.episodes *= fade
         self.successes *= fade
+
+    def update(self) -> None:
+        """Limit the counts to the window of recent episodes, and open bins next to solved ones."""
+        self.fade()
         solved = self.solved().view(self.shape)
         opened = self.opened.view(self.shape)
         for axis in range(len(AXES) - 1):

@@ -11,7 +11,10 @@ from skatemount.utils.errors import ConfigError
 
 CURRICULA = ClassRegistry(
     "curriculum",
-    {"auto": "skatemount.curriculum.auto:AutoCurriculum"},
+    {
+        "auto": "skatemount.curriculum.auto:AutoCurriculum",
+        "mixture": "skatemount.curriculum.mixture:MixtureCurriculum",
+    },
     methods=("sample_poses", "observe_step", "update", "metrics", "draw", "state_dict", "load_state_dict"),
     base="skatemount.curriculum.base.Curriculum",
     reserved=("none", "stages"),
@@ -32,11 +35,14 @@ class StageLink:
             stages.
         renormalize: Collect new normalization statistics, as in `StageConfig`. For a stage whose observations vary far
             less than those of the stage before.
+        settings: Settings of this stage alone, as on the command line, such as ``curriculum=auto``. Without one of the
+            curriculum, the stage has none.
     """
 
     gate: float | None = field(default=None, metadata=number(0, 1, above=True))
     budget: float = field(default=1.0, metadata=number(0, 1e9, above=True))
     renormalize: bool = False
+    settings: list[str] = field(default_factory=list)
 
 
 @dataclass
@@ -48,7 +54,7 @@ class CurriculumConfig:
 
     Attributes:
         kind: ``none`` (the stage's start ranges throughout), ``stages`` (several stages, one after the other),
-            ``auto``, the name of a plugin's, or ``module:Class`` of your own `Curriculum`.
+            ``auto``, ``mixture``, the name of a plugin's, or ``module:Class`` of your own `Curriculum`.
         name: Name of a chain of stages.
         stages: The stages of a chain, in order.
         params: Settings of your own curriculum.

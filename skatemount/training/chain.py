@@ -25,7 +25,7 @@ from skatemount.runs.checkpoint import load_training_state, read_card
 from skatemount.runs.find import find_checkpoint, is_own_run
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.serialization import parse_json
-from skatemount.runs.sweep import SweepFolder
+from skatemount.runs.sweep import SweepFolder, key_of
 from skatemount.training.callbacks import Callback, gate_reached
 from skatemount.training.commands import naming_what_is_left
 from skatemount.training.plots import plot_chain
@@ -344,7 +344,20 @@ def compose_stages(config: TrainConfig, overrides: Sequence[str]) -> dict[str, T
         ConfigError: A setting that cannot be used in one of the stages.
     """
     asked = [o for o in overrides if not _about_the_curriculum(o)]
-    return {name: configuration.compose(name, asked) for name in config.curriculum.stages}
+    return {name: _compose_link(name, link, asked) for name, link in config.curriculum.stages.items()}
+
+
+def _compose_link(name: str, link: StageLink, asked: Sequence[str]) -> TrainConfig:
+    """Return the settings of one stage of a chain, in which the command line overrides the list of the chain."""
+    # A stage's own file may choose a curriculum, but the chain decides where its stages begin.
+    chosen = any(key_of(each) == "curriculum" for each in link.settings)
+    settings = link.settings if chosen else ["curriculum=none", *link.settings]
+    try:
+        return configuration.compose(name, [*settings, *asked])
+    except ConfigError as error:
+        if not link.settings:
+            raise
+        raise ConfigError(f"curriculum.stages.{name}.settings={link.settings}: {error}") from error
 
 
 def check_stages(config: TrainConfig, overrides: Sequence[str]) -> None:
@@ -369,5 +382,5 @@ def check_stages(config: TrainConfig, overrides: Sequence[str]) -> None:
 
 
 def _about_the_curriculum(override: str) -> bool:
-    key = override.lstrip("+~").partition("=")[0]
+    key = key_of(override)
     return key == "curriculum" or key.startswith("curriculum.")

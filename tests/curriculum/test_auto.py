@@ -8,12 +8,11 @@ from pathlib import Path
 import defaults
 import pytest
 import torch
+from ended import finish
 from matplotlib.image import imread
 
 from skatemount.config import compose
 from skatemount.curriculum.auto import AutoCurriculum
-from skatemount.envs.mdp import StepResult
-from skatemount.envs.state import EpisodeState
 from skatemount.utils.errors import ConfigError
 
 HEIGHT = 0.088
@@ -21,17 +20,6 @@ HEIGHT = 0.088
 
 def curriculum(**settings: object) -> AutoCurriculum:
     return AutoCurriculum(defaults.curriculum(kind="auto", **settings), HEIGHT)  # type: ignore[arg-type]
-
-
-def finish(auto: AutoCurriculum, bins: torch.Tensor, good: bool) -> None:
-    """End one episode of each of these bins."""
-    n = len(bins)
-    episode = EpisodeState.zeros(n, defaults.LAYOUT)
-    episode.bin = bins
-    episode.soft_success = torch.full((n,), 1.0 if good else 0.0)
-    flags = torch.ones(n, dtype=torch.bool)
-    outcome = StepResult(torch.zeros(n), torch.zeros(0, n), torch.zeros(0, n), ~flags, flags, flags)
-    auto.observe_step(episode, outcome, flags)
 
 
 def solve(auto: AutoCurriculum) -> None:

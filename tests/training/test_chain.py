@@ -14,12 +14,13 @@ from tiny import BATCH, SILENT, TINY
 
 from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import compose
+from skatemount.config.files import using_config_dir
 from skatemount.curriculum.config import StageLink
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
 from skatemount.train import train
 from skatemount.training.callbacks import Callback, EvaluationCallback
-from skatemount.training.chain import Chain, chain_to_train
+from skatemount.training.chain import Chain, chain_to_train, compose_stages
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
@@ -219,6 +220,33 @@ def test_a_stage_without_a_checkpoint_begins_anew(tmp_path: Path) -> None:
     assert [part.frames for part in chain.parts] == [BATCH, BATCH]
 
 
+def test_a_chain_says_which_of_its_stages_have_a_curriculum(tmp_path: Path) -> None:
+    (tmp_path / "stage").mkdir()
+    own = "# @package _global_\ndefaults: [approach, override /curriculum: auto]\nstage: {name: own}\n"
+    (tmp_path / "stage" / "own.yaml").write_text(own)
+    with using_config_dir(tmp_path):
+        assert compose("own").curriculum.kind == "auto"
+        asked = [*TWO, "+curriculum.stages.own={}"]
+        kinds = {name: stage.curriculum.kind for name, stage in compose_stages(compose(None, asked), asked).items()}
+        assert kinds == {"balance": "none", "mount": "none", "own": "none"}
+        asked += ["curriculum.stages.mount.settings=['curriculum=auto','network.max_std=0.7','curriculum.window=50']"]
+        grown = compose_stages(compose(None, asked), asked)["mount"]
+        assert (grown.curriculum.kind, grown.curriculum.window, grown.network.max_std) == ("auto", 50, 0.7)
+        asked += ["network.max_std=0.9"]
+        assert compose_stages(compose(None, asked), asked)["mount"].network.max_std == 0.9
+
+
+def test_the_grown_chain_is_the_papers_with_regions_that_grow() -> None:
+    paper, grown = (
+        compose_stages(compose(None, asked), asked) for asked in (["curriculum=paper"], ["curriculum=grown"])
+    )
+    assert list(paper) == list(grown) == ["gait", "balance", "mount", "approach", "unfixed"]
+    assert {stage.curriculum.kind for stage in paper.values()} == {"none"}
+    found = {name: (stage.curriculum.kind, stage.curriculum.free_board_after) for name, stage in grown.items()}
+    assert found["gait"][0] == found["balance"][0] == "none"
+    assert found["mount"] == found["approach"] == ("auto", None) and found["unfixed"] == ("auto", 0.3)
+
+
 def test_only_the_first_stage_starts_from_what_the_user_names(chain: RunFolder, tmp_path: Path) -> None:
     spec = str(chain.path / "1_balance")
     run = command(tmp_path, *TWO, f"total_frames={2 * BATCH}", f"init_from={spec}")
@@ -233,6 +261,8 @@ def test_mistakes_are_one_line_before_anything_runs(chain: RunFolder, tmp_path: 
     assert f"{gate}=0.5 needs evaluations" in message(root, *TWO, f"{gate}=0.5")
     assert f"{gate}=2.0 must be" in message(root, *TWO, *EVALUATED, f"{gate}=2")
     assert "stages.mount.budget=0" in message(root, *TWO, "curriculum.stages.mount.budget=0")
+    wrong = message(root, *TWO, "curriculum.stages.mount.settings=['curriculum=outo']")
+    assert wrong.startswith("curriculum.stages.mount.settings=['curriculum=outo']: ") and "auto" in wrong
     assert not root.exists()
     config = compose(None, TWO)
     config.curriculum.stages["leap"] = StageLink()
