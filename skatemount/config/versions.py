@@ -132,6 +132,9 @@ def upgrade(values: dict[str, Any]) -> dict[str, Any]:
         _rename_values(values)
     if saved < FORMAT:
         _add(values, ADDED_LATER)
+        for link in _group(values, ["curriculum", "stages"]).values():
+            if isinstance(link, dict):
+                link.setdefault("settings", [])
     return values
 
 

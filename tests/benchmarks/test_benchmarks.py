@@ -48,6 +48,22 @@ def test_rsl_rl_curves(repo_root: Path, tmp_path: Path) -> None:
     assert (tmp_path / "rsl_rl_curves.png").stat().st_size > 10_000
 
 
+def test_rank_curves(repo_root: Path, tmp_path: Path) -> None:
+    options = ["--frames", "384", "--worlds", "8", "--ranks", "1", "2", "--seeds", "0", "--out", str(tmp_path)]
+    settings = ["physics.threads=1", "torch_threads=1", "episode_length=1.2", "logger.evaluate_episodes=4"]
+    script = repo_root / "benchmarks" / "rank_curves.py"
+    done = run(script, *options, *settings, "logger.evaluate_every=1")
+    assert done.returncode == 0, done.stderr
+    curves = json.loads((tmp_path / "curves.json").read_text())["curves"]
+    assert list(curves) == ["1", "2"]
+    for seeds in curves.values():
+        assert [frames for frames, _ in seeds["0"]] == [192, 384]
+    assert "| 2 ranks |" in (tmp_path / "table.md").read_text()
+    assert (tmp_path / "curves.png").stat().st_size > 10_000
+    again = run(script, *options, *settings, "logger.evaluate_every=1")
+    assert again.returncode == 0 and "steps/s" not in again.stdout  # nothing is trained twice
+
+
 @pytest.mark.nightly
 def test_faults(repo_root: Path, tmp_path: Path) -> None:
     options = ["--times", "2", "--only", "kills", "operations", "signals", "full", "numbers"]

@@ -69,11 +69,12 @@ def test_figure_is_drawn(script: ModuleType, tmp_path: Path) -> None:
     def curve(high: float) -> list[dict[str, Any]]:
         return [{"frames": 100 * i, "success": dict.fromkeys(script.SUITES, high * i / 8)} for i in range(1, 9)]
 
-    curves = {"auto": [curve(0.9), curve(0.8)], "paper": [curve(0.3)], "forward": []}
+    curves = {"auto": [curve(0.9), curve(0.8)], "grown": [curve(0.3)], "paper": [], "mixture": [], "forward": []}
+    assert list(curves) == list(script.METHODS)
     script.draw(curves, 800, tmp_path / "a.png")
     pixels = imread(tmp_path / "a.png")[:, :, :3]
-    auto, paper, forward = (np.abs(pixels - to_rgb(color)).max(-1) < 0.02 for color, _ in script.LINES)
-    assert not forward.any()
+    auto, paper, *others = (np.abs(pixels - to_rgb(color)).max(-1) < 0.02 for color, _ in script.LINES)
+    assert len(others) == 3 and not any(each.any() for each in others)
     # A panel for each suite, each with both curves; the better one ends higher.
     height, width = auto.shape
     for rows in (slice(0, height // 2), slice(height // 2, height)):

@@ -95,5 +95,5 @@ def test_what_cannot_be_made_is_one_line(kind: str) -> None:
 
 
 def test_unknown_kinds_are_listed() -> None:
-    with pytest.raises(ConfigError, match="none, stages, auto, or module:Class"):
+    with pytest.raises(ConfigError, match="none, stages, auto, mixture, or module:Class"):
         defaults.curriculum(kind="automatic").validate()
