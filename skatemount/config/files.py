@@ -17,6 +17,8 @@ from skatemount.utils.errors import ConfigError
 
 SHARED = "base"
 """Folder of what the programs' files have in common; it is no group."""
+LAYERS = frozenset(["experiment"])
+"""Groups whose files change settings of other groups, so that a list of them adds one on top of the other."""
 
 _user_dir: Path | None = None
 

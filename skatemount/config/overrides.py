@@ -13,7 +13,7 @@ from hydra.core.override_parser.types import Override as HydraOverride
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
 
-from skatemount.config.files import choices, groups, no_choice
+from skatemount.config.files import LAYERS, choices, groups, no_choice
 from skatemount.config.keys import is_known, keys, suggestions, table_of, unknown
 from skatemount.config.programs import PROGRAMS
 from skatemount.config.versions import rename_override
@@ -45,6 +45,7 @@ _SAME_IN_HYDRA = re.compile(
 )
 _QUOTED = re.compile(r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*\"""")
 _PIECE = re.compile(rf"\s*(?:{_QUOTED.pattern}|[^,]*)\s*")
+_CHOICE = re.compile(r"\s*\[[^\]]*\]\s*|[^,]+")
 _SWEEP_FUNCTION = re.compile(r"(choice|glob|range|interval|shuffle|sort|tag)\(.*\)")
 
 
@@ -218,16 +219,34 @@ def _prepared(override: Override, written: str, program: str) -> str:
 
 
 def _check_choices(override: Override, written: str) -> None:
-    """Raise `ConfigError` unless every choice, of a sweep too, is a file of the group."""
-    if override.value is None or override.value.startswith("["):
+    """Raise `ConfigError` unless every choice, of a sweep too, is one file of the group."""
+    if override.value is None:
         return
     known = choices(override.group)
-    for each in override.value.split(","):
-        name = each.strip().strip("'\"")
-        if override.group == "suite" and name == "null":
-            raise ConfigError(f"{written}: leave suite out for the task that the policy was trained in")
-        if name not in known and name != "null" and not name.startswith(("glob(", "choice(")):
-            raise ConfigError(f"{written}: {no_choice(override.group, name)}")
+    for each in _CHOICE.findall(override.value):
+        names = [each]
+        if each.strip().startswith("["):
+            names = [name.strip().strip("'\"") for name in each.strip("[] ").split(",") if name.strip()]
+            if len(names) != 1 and not (names and override.group in LAYERS):
+                raise ConfigError(f"{written}: {_no_list(override.group, names)}")
+        for name in (name.strip().strip("'\"") for name in names):
+            if override.group == "suite" and name == "null":
+                raise ConfigError(f"{written}: leave suite out for the task that the policy was trained in")
+            if name not in known and name != "null" and not name.startswith(("glob(", "choice(")):
+                raise ConfigError(f"{written}: {no_choice(override.group, name)}")
+
+
+def _no_list(group: str, names: Sequence[str]) -> str:
+    """Return the error for a list of a group's files."""
+    if not names:
+        return f"names no {group}; give one, of {', '.join(choices(group))}"
+    listed = ",".join(names)
+    several = f"-m {group}={listed} runs once with each"
+    if group == "suite":
+        several += ", suite=all has all but those of riding"
+    elif group == "logger":
+        several = f'several loggers are "logger.loggers=[{listed}]"'
+    return f"{group} takes one name, and of a list the last would win; {several}"
 
 
 def _is_whole(hint: object) -> bool:

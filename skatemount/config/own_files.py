@@ -10,7 +10,16 @@ from typing import Any
 
 import yaml
 
-from skatemount.config.files import before_tasks, choices, config_dir, config_dirs, groups, no_choice, user_config_dir
+from skatemount.config.files import (
+    LAYERS,
+    before_tasks,
+    choices,
+    config_dir,
+    config_dirs,
+    groups,
+    no_choice,
+    user_config_dir,
+)
 from skatemount.utils.documents import read_yaml
 from skatemount.utils.errors import ConfigError
 
@@ -33,7 +42,7 @@ def check_own_files(overrides: Sequence[str]) -> None:
     if not own:
         return
     asked = [each.lstrip("+").partition("=") for each in overrides]
-    names = [(group.partition("@")[0], name.strip("'\" ")) for group, _, value in asked for name in value.split(",")]
+    names = [(group.partition("@")[0], name.strip("'\"[] ")) for group, _, value in asked for name in value.split(",")]
     done = set()
     while names:
         each = names.pop()
@@ -179,9 +188,14 @@ def _problem(group: str, entry: yaml.Node) -> str | None:
     if isinstance(value, yaml.MappingNode):
         return f"{key.value}: {example}"
     match = _ENTRY.fullmatch(key.value)
-    if match is None or match["path"].startswith("hydra") or not isinstance(value, yaml.ScalarNode):
+    if match is None or match["path"].startswith("hydra"):
         return None
-    wanted, name = match["path"], value.value
+    wanted = match["path"]
+    if isinstance(value, yaml.SequenceNode) and wanted not in LAYERS and len(value.value) != 1:
+        return f"{key.value}: takes one name; of a list, the last would win"
+    if not isinstance(value, yaml.ScalarNode):
+        return None
+    name = value.value
     if wanted not in groups():
         return f"{key.value}: there is no group {wanted}; groups are {', '.join(groups())}"
     if not match["slash"]:

@@ -19,6 +19,7 @@ from skatemount.config import (
     compose_program,
     config_dir,
 )
+from skatemount.config.files import LAYERS
 from skatemount.config.keys import keys
 from skatemount.config.overrides import check_option, prepare
 from skatemount.config.programs import PROGRAMS
@@ -152,6 +153,46 @@ def test_options_of_hydra_are_left_alone(option: str) -> None:
 def test_a_wrong_choice_has_a_suggestion(override: str, expected: str) -> None:
     with pytest.raises(ConfigError, match=expected):
         prepare([override], "train")
+
+
+LISTS: list[tuple[str, str, str | None]] = [
+    ("evaluate", "suite=[far,hold]", "suite takes one name, and of a list the last would win; -m suite=far,hold runs"),
+    ("record", "suite=['far', \"hold\"]", "suite takes one name"),
+    ("evaluate", "suite=[far],[hold,far]", "suite takes one name"),
+    ("evaluate", "suite=[]", "suite=[]: names no suite; give one, of all, approach-fixed"),
+    ("train", "logger=[wandb,trackio]", 'several loggers are "logger.loggers=[wandb,trackio]"'),
+    ("train", "+board=[mini,longboard]", "board takes one name, and of a list the last would win; -m board=mini,lon"),
+    ("train", "stage=[balance,mount]", "stage takes one name"),
+    ("train", "experiment=[paper,gpu,nope]", "there is no experiment nope"),
+    ("train", "board=[lngboard]", "there is no board lngboard (did you mean longboard?)"),
+    ("train", "board=[mini]", None),
+    ("train", "board=[mini],[longboard]", None),
+    ("train", "experiment=[paper,gpu]", None),
+]
+
+
+@pytest.mark.parametrize(("program", "override", "expected"), LISTS)
+def test_a_list_of_choices_does_not_keep_its_last_one_silently(
+    program: str, override: str, expected: str | None
+) -> None:
+    if expected is None:
+        assert prepare([override], program) == [override]
+        return
+    with pytest.raises(ConfigError) as error:
+        prepare([override], program)
+    text = one_line(error)
+    assert text.startswith(f"{override}: ") and expected in text, text
+
+
+def test_experiments_add_up_in_a_list() -> None:
+    config = compose(None, ["stage=unfixed", "experiment=[paper,gpu]"])
+    assert (config.robot.variant, config.physics.engine) == ("a1_isaac", "warp")
+
+
+def test_only_experiments_change_other_groups() -> None:
+    """Files of these groups may be combined in a list; those of others have every setting, and the last one wins."""
+    above = {path.parent.name for path in config_dir().glob("*/*.yaml") if "@package _global_" in path.read_text()}
+    assert above - {"base", "stage", "curriculum", "task"} == LAYERS
 
 
 def test_a_part_of_a_suites_name_suggests_the_suite() -> None:

@@ -33,6 +33,7 @@ REFUSED = [
     ("stage/mine.yaml", f"{GLOBAL}defaults: [override /bord: x]\n", ", line 3: override /bord: there is no group bord"),
     ("stage/mine.yaml", f"{GLOBAL}defaults: [override /board: x]\n", ", line 3: override /board: there is no board x"),
     ("stage/mine.yaml", f"{GLOBAL}defaults: [override board: x]\n", ", line 3: override board: write /board for"),
+    ("stage/mine.yaml", f"{GLOBAL}defaults: [/board: [mini, carver]]\n", ", line 3: /board: takes one name; of a list"),
     ("stage/mine.yaml", f"{GLOBAL}defaults: [5]\n", ", line 3: 5: an entry of defaults is a name"),
     ("task/mine.yaml", "success: mount\n", ", line 1: task: there is no setting task"),
     ("task/mine.yaml", "defaults: [override /network: small]\n", ", line 1: override /network: a task can override"),
