@@ -21,7 +21,8 @@ episodes=        of each suite; without it, all start states of the folder
 seed=            of the noise of sensors and observation (0)
 json=            file for the results, as that of skatemount.evaluate
 
-The test vectors of the folder are checked first. skatemount.runner.hardware.run drives a real robot."""
+The test vectors of the folder are checked first. episodes=, seed=, and json= are for a suite.
+skatemount.runner.hardware.run drives a real robot."""
 
 _KEYS = ("suite", "episodes", "seed", "json")
 
@@ -57,6 +58,8 @@ def _run(arguments: list[str]) -> None:
     print(f"test vectors: equal; largest differences: {largest}")
     chosen = settings.get("suite")
     names = list(folder.suites) if chosen == "all" else [chosen] if chosen else []
+    if chosen and not names:
+        raise RunnerError("suite=all: the folder has no start states; export with suite=all and episodes=500")
     if not names:
         print(f"suites: {', '.join(folder.suites) or 'none'}")
         return
@@ -89,7 +92,7 @@ def _read(arguments: list[str]) -> tuple[str, dict[str, Any]]:
     """Return the folder and the settings of a command line.
 
     Raises:
-        RunnerError: A setting is unknown or has a value that cannot be used.
+        RunnerError: A setting is unknown, is there twice, has a value that cannot be used, or needs ``suite=``.
     """
     from skatemount.runner.folder import RunnerError
 
@@ -98,12 +101,16 @@ def _read(arguments: list[str]) -> tuple[str, dict[str, Any]]:
         found = " ".join(folders) or "nothing"
         raise RunnerError(f"give one folder of an exported policy, not {found}; --help shows the settings")
     settings: dict[str, Any] = {}
+    written: dict[str, str] = {}
     for each in arguments:
         key, equals, value = each.partition("=")
         if not equals:
             continue
         if key not in _KEYS:
             raise RunnerError(f"{key} is not a setting; known: {', '.join(_KEYS)}")
+        if key in written:
+            raise RunnerError(f"{each} with {written[key]}: give each setting once")
+        written[key] = each
         if not value:
             raise RunnerError(f"{key}= has no value; leave it out, or give one")
         if key in ("episodes", "seed"):
@@ -113,6 +120,9 @@ def _read(arguments: list[str]) -> tuple[str, dict[str, Any]]:
             settings[key] = int(value)
         else:
             settings[key] = value
+    if written and "suite" not in written:
+        first = next(iter(written.values()))
+        raise RunnerError(f"{first} needs suite=<name>, or suite=all: without one, only the check runs")
     return folders[0], settings
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -43,6 +44,11 @@ def test_it_runs_suites_and_writes_the_results(tmp_path: Path, capsys: pytest.Ca
         (["FOLDER", "suite="], "suite= has no value; leave it out, or give one"),
         (["FOLDER", "episodes=many"], "episodes=many must be a whole number, 1 or more"),
         (["FOLDER", "suite=stand", "seed=-1"], "seed=-1 must be a whole number, 0 or more"),
+        (["FOLDER", "json=r.json"], "json=r.json needs suite=<name>, or suite=all: without one, only the check runs"),
+        (["FOLDER", "seed=1"], "seed=1 needs suite=<name>"),
+        (["FOLDER", "episodes=3", "seed=1"], "episodes=3 needs suite=<name>"),
+        (["FOLDER", "suite=stand", "seed=1", "seed=2"], "seed=2 with seed=1: give each setting once"),
+        (["FOLDER", "suite=stand", "suite=stand"], "suite=stand with suite=stand: give each setting once"),
         (["FOLDER", "suite=stand", "json=."], "json=. is a folder; it must name a file"),
         (["FOLDER", "suite=far"], "suite=far: the folder has stand, pushed, sensed, walk, boards"),
         (["nowhere"], "nowhere: has no card.json"),
@@ -55,6 +61,18 @@ def test_a_mistake_is_one_line(arguments: list[str], expected: str, capsys: pyte
     error = capsys.readouterr().err
     assert error.startswith(f"skatemount.runner: {expected}")
     assert error.count("\n") == 1
+
+
+def test_all_suites_of_a_folder_that_has_none_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "bare"
+    shutil.copytree(exported.folder(), folder)
+    card = json.loads((folder / "card.json").read_text())
+    (folder / "card.json").write_text(json.dumps(card | {"suites": {}}))
+    with pytest.raises(SystemExit):
+        main([str(folder), "suite=all", f"json={tmp_path / 'r.json'}"])
+    assert capsys.readouterr().err == (
+        "skatemount.runner: suite=all: the folder has no start states; export with suite=all and episodes=500\n"
+    )
 
 
 @pytest.mark.parametrize("arguments", [[], ["--help"], ["folder", "-h"]])
