@@ -45,6 +45,7 @@ def evaluate(config: EvaluateConfig, overrides: list[str]) -> Score:
     from skatemount.runs.sweep import Score
     from skatemount.utils.decoration import Decoration
     from skatemount.utils.errors import StorageError
+    from skatemount.utils.formatting import format_changes
 
     table, commands = Decoration("the table of the results"), Decoration("the list of the next commands")
     picture = Decoration("the pictures of the results")
@@ -70,7 +71,9 @@ def evaluate(config: EvaluateConfig, overrides: list[str]) -> Score:
             written.append(_write({"suites": documents} if len(tasks) > 1 else documents[task.name], Path(config.json)))
     with table:
         if len(tasks) > 1:
-            print(f"\n{tasks[0].agent.name}, {config.episodes} episodes of each suite\n")
+            print(
+                f"\n{tasks[0].agent.name}, {config.episodes} episodes of each suite{format_changes(tasks[0].changed_by)}\n"
+            )
             print(report.overview(results, "suite"))
             if ladders := {name: found for name, each in results.items() if (found := each.ladder()) is not None}:
                 print(f"\n{ladder.table(ladders)}")
@@ -144,6 +147,7 @@ def _write_outputs(task: EvaluationTask, result: Evaluation, folder: Path, drawi
     from skatemount.evaluation.grid import plot_grid
     from skatemount.evaluation.ladder import plot_ladders
     from skatemount.evaluation.success_map import plot_success_map
+    from skatemount.utils.formatting import format_changes
 
     boards = [board for config in task.configs.values() for board in boards_of(config.boards, config.board)]
     picture = folder / f"{task.file_stem}.png"
@@ -153,7 +157,7 @@ def _write_outputs(task: EvaluationTask, result: Evaluation, folder: Path, drawi
         written.append(picture)
         if (ladder := result.ladder()) is not None:
             steps = folder / f"{task.file_stem}_ladder.png"
-            plot_ladders({task.name: {task.agent.name: ladder}}, steps)
+            plot_ladders({task.name + format_changes(task.changed_by): {task.agent.name: ladder}}, steps)
             written.append(steps)
         if (grid := result.grid()) is not None:
             cells = folder / f"{task.file_stem}_grid.png"

@@ -52,7 +52,7 @@ def record(config: RecordConfig, overrides: list[str]) -> None:
     began = time.perf_counter()
     parts = films.parts_of(film, next(iter(trial.configs.values())).physics)
     episodes, said, name = choose_episodes(trial, config, parts)
-    title = f"{trial.agent.name} on {trial.name}, seed {config.seed}"
+    title = f"{trial.title}, seed {config.seed}"
     print(f"{title}, {said}")
     for episode in episodes:
         print(f"episode {episode.number}: {episode.summary}")

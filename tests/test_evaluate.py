@@ -61,8 +61,13 @@ def test_prints_a_table_and_writes_the_same(policy: Path, tmp_path: Path, capsys
     evaluated = document["evaluated"]
     assert (evaluated["checkpoint"], evaluated["suite"], evaluated["frames"]) == ("tiny", "mount-fixed", 4242)
     assert evaluated["overrides"] == SHORT
+    changes = ["episode_length=0.8", "physics.num_worlds=4"]
+    assert evaluated["changed_by"] == changes
     assert evaluated["versions"]["mujoco"]
-    assert "tiny on mount-fixed" in printed
+    assert f"tiny on mount-fixed, version 1, changed by {', '.join(changes)}" in printed
+    assert [line.split() for line in printed.splitlines() if line.startswith(" changed by")] == [
+        ["changed", "by", each] for each in changes
+    ]
     # Each failure is listed, and the last line films one.
     failed = document["failed_episodes"]
     assert len(failed) == 5 - round(document["success"]["rate"] * 5) > 0
@@ -124,6 +129,7 @@ def test_several_suites_are_a_table_and_one_document(
         assert f"{result['success']['rate']:.1%}" in printed
         assert result["evaluated"]["suite"] == name
     assert "main failure" in printed
+    assert "tiny, 5 episodes of each suite, changed by episode_length=0.8, physics.num_worlds=4" in printed
     # The failure is of the suite with the lowest success rate.
     rates = {name: result["success"]["rate"] for name, result in document["suites"].items()}
     worst = min(rates, key=lambda name: rates[name])

@@ -50,6 +50,8 @@ def checkpoint(runs_root: Path) -> Path:
 
 
 SHORT = ["episode_length=0.12", "physics.threads=1", "physics.num_worlds=4"]
+CHANGED = ", changed by episode_length=0.12, physics.num_worlds=4"
+"""What a title says of `SHORT`."""
 
 
 LATE = ["sensing=default", "sensing.target_delay=[0.04,0.04]"]
@@ -156,7 +158,7 @@ def test_an_exported_policy_is_filmed(tmp_path: Path, capsys: pytest.CaptureFixt
     settings = [f"checkpoint={exported.folder() / 'policy.onnx'}", "episode=1", f"output={tmp_path}"]
     settings += ["film.width=320", "film.height=240", *SHORT]
     record(compose_program("record", settings), settings)
-    assert "policy on mount, seed 0, episode 1\n" in capsys.readouterr().out
+    assert f"policy on mount{CHANGED}, seed 0, episode 1\n" in capsys.readouterr().out
     assert len(read(tmp_path / "policy_mount_seed0_episode1.mp4")[1]) == 3 + round(HOLD * 25)
 
 
@@ -176,7 +178,7 @@ def test_films_of_suites(
     settings = [*settings, f"suite={suite}", "checkpoint=pretrained:anywhere", f"output={tmp_path}", "film.gif=true"]
     settings += ["episode_length=0.4", *SHORT[1:]]
     record(compose_program("record", settings), settings)
-    assert f"anywhere on {suite}, seed 0, {told}" in capsys.readouterr().out
+    assert f"anywhere on {suite}{CHANGED.replace('0.12', '0.4')}, seed 0, {told}" in capsys.readouterr().out
     gif, mp4, sheet = sorted(tmp_path.iterdir())
     size = (1920, 1080) if "film=1080p" in settings else (720, 540)
     about, pictures = read(mp4)

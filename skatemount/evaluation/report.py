@@ -21,6 +21,9 @@ def table(result: Evaluation) -> str:
         made.add_row(
             f"worst of {result.boards} boards", f"board {number}, {part.successes} of {part.episodes} episodes"
         )
+    # The heading has room for a few.
+    for setting in result.changed_by if len(result.changed_by) > 1 else []:
+        made.add_row("changed by", setting)
     for metric in result.task.metrics:
         made.add_row(metric.label, result.text(metric.name))
     made.add_row("failures", failures(result))

@@ -13,6 +13,7 @@ from skatemount.evaluation.grid import Grid
 from skatemount.evaluation.intervals import wilson_interval
 from skatemount.evaluation.ladder import Ladder
 from skatemount.evaluation.records import EpisodeRecords
+from skatemount.utils.formatting import format_changes
 
 END_WORDS = {
     "tilt": "robot fell",
@@ -51,7 +52,7 @@ class Evaluation:
     def title(self) -> str:
         """Title for tables and figures: policy, suite and the suite's version, as far as they are known.
 
-        Task and robot follow where they are not the defaults, nor the suite's own name.
+        The settings that changed the suite follow. Task and robot follow where they are not the defaults, nor the suite's own name.
         """
         what = [str(self.evaluated[key]) for key in ("checkpoint", "suite") if key in self.evaluated]
         definition = self.evaluated.get("definition")
@@ -62,7 +63,12 @@ class Evaluation:
             name: self.evaluated[name] for name in settings if self.evaluated.get(name) not in (None, settings[name])
         }
         more = [f"{name} {value}" for name, value in unusual.items() if value != self.evaluated.get("suite")]
-        return ", ".join([(" on ".join(what) or "evaluation") + version, *more])
+        return ", ".join([(" on ".join(what) or "evaluation") + version, *more]) + format_changes(self.changed_by)
+
+    @property
+    def changed_by(self) -> list[str]:
+        """Settings of the user that make the test another one than the suite."""
+        return list(self.evaluated.get("changed_by", []))
 
     @property
     def episodes(self) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
@@ -29,6 +29,7 @@ from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.results import Evaluation
 from skatemount.utils.devices import available_cores
 from skatemount.utils.errors import ConfigError
+from skatemount.utils.formatting import format_changes
 
 _MACHINE = ("engine", "device", "threads", "max_contacts", "max_constraints")
 """Settings of the physics that are the machine's, not the training's."""
@@ -53,6 +54,7 @@ class EvaluationTask:
         overrides: The user's overrides of the task's settings.
         seed: The user's seed.
         torch_threads: Torch's number of threads.
+        suite_overrides: The user's changes of the suite itself, such as ``suite.seed=5``.
     """
 
     agent: TrainedPolicy
@@ -62,6 +64,7 @@ class EvaluationTask:
     overrides: list[str]
     seed: int
     torch_threads: int = 1
+    suite_overrides: list[str] = field(default_factory=list)
 
     @classmethod
     def prepare(cls, config: PolicyConfig, overrides: Sequence[str]) -> list[EvaluationTask]:
@@ -76,7 +79,8 @@ class EvaluationTask:
             A task for each suite.
 
         Raises:
-            ConfigError: There is no such policy, suite or setting, or both ``pipeline`` and ``checkpoint`` are given.
+            ConfigError: There is no such policy, suite or setting, both ``pipeline`` and ``checkpoint`` are given, or
+                a setting cannot matter.
         """
         if config.pipeline is not None and (given := [o for o in overrides if _key(o) == "checkpoint"]):
             raise ConfigError(
@@ -88,9 +92,16 @@ class EvaluationTask:
             agent = SwitchingAgent.load_pair(config.pipeline, config.switch_distance, config.logger.root)
         asked = [o for o in overrides if _key(o).partition(".")[0] in {*keys(TaskConfig), "task"}]
         suites = [config.suite] if config.suite is None else members_of(config.suite)
+        of_suite = [o for o in overrides if _key(o).startswith("suite.")]
+        if config.suite is not None and config.suite.members:
+            if lost := [o for o in of_suite if _key(o) != "suite.members"]:
+                raise ConfigError(f"{lost[0]} with suite={config.suite.name}: its suites have settings of their own; "
+                                  f"name one of {', '.join(config.suite.members)}")  # fmt: skip
+            of_suite = []
         tasks = [cls.of(agent, suite, asked, config.seed) for suite in suites]
         for task in tasks:
             task.torch_threads = config.torch_threads or available_cores()
+            task.suite_overrides = of_suite
         return tasks
 
     @classmethod
@@ -121,6 +132,21 @@ class EvaluationTask:
             raise ConfigError(f"suite.variants: success is {' and '.join(tasks)}; the variants must have one task")
         name = suite.name if suite is not None else agent.card.stage or "its own task"
         return cls(agent, name, suite, configs, list(overrides), seed)
+
+    @property
+    def changed_by(self) -> list[str]:
+        """The user's settings that make the test another one than the suite, or than the policy's own task.
+
+        Settings of the machine do not count, nor do those that the suite has itself.
+        """
+        machine = {"plugins", *(f"physics.{name}" for name in _MACHINE)}
+        own = [] if self.suite is None else self.suite.overrides
+        return [*self.suite_overrides, *(o for o in self.overrides if _key(o) not in machine and o not in own)]
+
+    @property
+    def title(self) -> str:
+        """Policy and suite in words, and by which settings the suite was changed."""
+        return f"{self.agent.name} on {self.name}{format_changes(self.changed_by)}"
 
     @property
     def file_stem(self) -> str:
@@ -207,7 +233,7 @@ class EvaluationTask:
         """Return the command that films an episode exactly as it was evaluated."""
         words = ["python", "-m", "skatemount.record", *configuration.config_dir_options(), *self.agent.settings]
         if self.suite is not None:
-            words.append(f"suite={self.suite.name}")
+            words += [f"suite={self.suite.name}", *self.suite_overrides]
         if self.seed:
             words.append(f"seed={self.seed}")
         if self.torch_threads > 1:
@@ -229,6 +255,7 @@ class EvaluationTask:
             "suite": self.name,
             "definition": None if self.suite is None else vars(self.suite) | {},
             "overrides": self.overrides,
+            "changed_by": self.changed_by,
             "seed": self.seed,
             "record": self.record_command(0).removesuffix("0") + "<episode>",
         }

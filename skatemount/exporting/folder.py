@@ -161,6 +161,7 @@ def _write_suite(folder: Folder, task: EvaluationTask, starts: int, progress: Ca
         "version": None if task.suite is None else task.suite.version,
         "description": "the policy's own task" if task.suite is None else task.suite.description,
         "seed": task.seed,
+        "changed_by": task.changed_by,
         "episodes": starts,
         "variants": variants,
     }

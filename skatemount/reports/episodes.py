@@ -87,7 +87,7 @@ def evaluate(
     for suite in chosen:
         task = EvaluationTask.of(agent, suite, overrides, config.seed)
         task.torch_threads = config.torch_threads or available_cores()
-        say(f"evaluating {agent.name} on {task.name}, {config.page.episodes} episodes")
+        say(f"evaluating {task.title}, {config.page.episodes} episodes")
         evaluation = task.evaluate(config.page.episodes)
         evaluation.evaluated["versions"] = package_versions()
         document = evaluation.to_dict()
@@ -198,7 +198,7 @@ def six_moments(task: EvaluationTask, width: int = 480) -> tuple[str, bytes]:
     from skatemount.rendering.search import first_success
 
     episode = first_success(task)
-    caption = f"{task.agent.name} on {task.name}, episode {episode.number}: {episode.summary}"
+    caption = f"{task.title}, episode {episode.number}: {episode.summary}"
     return caption, _jpeg(moments_sheet([episode], default_film(caption=False), "", width))
 
 

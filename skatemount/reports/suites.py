@@ -15,6 +15,7 @@ from skatemount.envs.tasks import TASKS
 from skatemount.evaluation.results import in_words
 from skatemount.reports.charts import Chart, Interval, Line, interval_chart, line_chart
 from skatemount.utils.errors import ConfigError
+from skatemount.utils.formatting import format_changes
 
 OWN_TASK = "the task of its training"
 
@@ -154,6 +155,10 @@ def parse_named(name: str, document: Any, where: str) -> list[Result]:
     variants = document.get("variants")
     parts = variants if isinstance(variants, dict) else {}
     found = {each: parse_named(each, part, where)[0] for each, part in parts.items()}
+    about = document.get("evaluated")
+    if isinstance(about, dict) and isinstance(changes := about.get("changed_by"), list):
+        # A row of its own: it is no result of the suite.
+        name += format_changes([str(each) for each in changes])
     return [Result(name, document, where, variants=found)]
 
 

@@ -114,6 +114,7 @@ def document(folder: PolicyFolder, name: str, results: Sequence[EpisodeResult], 
         "sha256": policy["weights_sha256"],
         "suite": name,
         "version": suite["version"],
+        "changed_by": suite.get("changed_by", []),
         "seed": seed,
         "runner": True,
     }

@@ -76,9 +76,11 @@ def _run(arguments: list[str]) -> None:
         results = bench.run_suite(folder, name, settings.get("episodes"), seed, _Progress(name))
         made = documents[name] = bench.document(folder, name, results, seed)
         success, failures = made["success"], made["failures"]
+        changes = made["evaluated"]["changed_by"]
+        changed = f", changed by {', '.join(changes)}" if changes else ""
         causes = ", ".join(f"{cause} {count}" for cause, count in failures.items()) or "none"
         print(
-            f"{name}: success {success['rate']:.1%} of {made['episodes']} episodes (95 % interval "
+            f"{name}{changed}: success {success['rate']:.1%} of {made['episodes']} episodes (95 % interval "
             f"{success['low']:.1%} to {success['high']:.1%}), failures: {causes}",
             flush=True,
         )

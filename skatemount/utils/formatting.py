@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 
 def format_count(value: float) -> str:
@@ -11,6 +12,24 @@ def format_count(value: float) -> str:
         if abs(value) >= size:
             return f"{value / size:.{digits}f}{letter}"
     return f"{value:.0f}"
+
+
+def format_changes(settings: Sequence[str], room: int = 60) -> str:
+    """Return ", changed by ..." for a title; "" without settings.
+
+    Args:
+        settings: Settings as on the command line.
+        room: Letters that they may take; at least the first one is named, and those without room are counted.
+    """
+    if not settings:
+        return ""
+    named = [settings[0]]
+    for each in settings[1:]:
+        if len(", ".join([*named, each])) > room:
+            break
+        named.append(each)
+    left = len(settings) - len(named)
+    return f", changed by {', '.join(named)}" + (f" and {left} more setting{'s' * (left > 1)}" if left else "")
 
 
 def format_duration(seconds: float) -> str:

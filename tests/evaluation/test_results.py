@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
@@ -116,12 +117,14 @@ def test_next_commands_are_a_line_each_with_their_purpose() -> None:
 
 
 def test_the_title_says_what_is_unusual(make_records: Make) -> None:
-    def title(**evaluated: str) -> str:
+    def title(**evaluated: Any) -> str:
         return Evaluation(make_records(1), ENDS, MOUNT, evaluated=evaluated).title
 
     assert title(checkpoint="best", suite="far", task="mount", robot="a1") == "best on far"
     assert title(checkpoint="best", suite="gait", task="gait", robot="go2") == "best on gait, robot go2"
     assert title(task="hold", robot="a1") == "evaluation, task hold"
+    changed = title(checkpoint="best", suite="far", changed_by=["board=mini"], robot="go2")
+    assert changed == "best on far, robot go2, changed by board=mini"
 
 
 def test_the_worst_of_several_boards_is_told(make_records: Make) -> None:

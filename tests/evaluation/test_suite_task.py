@@ -143,6 +143,27 @@ def test_a_task_describes_itself(path: Path) -> None:
     assert (own.name, own.suite, own.describe()["definition"]) == ("balance", None, None)
 
 
+def test_a_changed_suite_is_named_with_its_changes(path: Path) -> None:
+    """Settings of the machine do not count, nor do those that the suite has itself."""
+    machine = ["physics.threads=2", "physics.engine=cpu", "plugins=[]"]
+    (task,) = prepare(path, "suite=mount-fixed", *machine, "sensing=ideal", "episodes=7", "seed=4")
+    assert (task.changed_by, task.title) == ([], "p on mount-fixed")
+    (task,) = prepare(path, "suite=mount-fixed", *machine, "start.x=[0,0]", "board=mini", "suite.seed=99")
+    assert task.changed_by == ["suite.seed=99", "start.x=[0,0]", "board=mini"] == task.describe()["changed_by"]
+    assert task.title == "p on mount-fixed, changed by suite.seed=99, start.x=[0,0], board=mini"
+    # The command that films has them, too.
+    assert "suite=mount-fixed suite.seed=99 physics.threads=2" in task.record_command(3)
+    (own,) = prepare(path, "physics.num_worlds=4")
+    assert own.title == "p on balance, changed by physics.num_worlds=4"
+
+
+def test_a_change_of_a_suite_of_suites_that_would_be_lost_is_refused(path: Path) -> None:
+    with pytest.raises(
+        ConfigError, match=r"^\+\+suite.seed=9 with suite=all: its suites have settings of their own; name"
+    ):
+        prepare(path, "suite=all", "suite.members=[far,hold]", "++suite.seed=9")
+
+
 def test_a_pipeline_and_a_checkpoint_are_one_too_many(path: Path) -> None:
     with pytest.raises(ConfigError, match=f"^checkpoint={path} with pipeline=gait.anywhere: a pipeline names both"):
         prepare(path, "pipeline=gait+anywhere")

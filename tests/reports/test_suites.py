@@ -39,6 +39,8 @@ def test_one_evaluation_several_and_a_file_of_the_docs() -> None:
     (one,) = parse(result(0.5, evaluated=about), "f")
     assert (one.name, one.version, one.description, one.policy) == ("far", "2", "d", ("a/step_1", "ab"))
     assert one.rate == (0.5, 0.45, 0.55) and one.failures == {"robot fell": 3, "not mounted at the time limit": 2}
+    (changed,) = parse(result(0.5, evaluated=about | {"changed_by": ["board=mini"]}), "f")
+    assert changed.name == "far, changed by board=mini"  # a row of its own, beside that of the suite
     (own,) = parse(result(0.5), "f")
     assert own.name == OWN_TASK and own.policy == ("", "")
     docs = {"checkpoint": "pretrained:x", "sha256": "cd", "suites": {"far": result(0.4, version=3)}}

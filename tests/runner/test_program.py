@@ -63,6 +63,20 @@ def test_a_mistake_is_one_line(arguments: list[str], expected: str, capsys: pyte
     assert error.count("\n") == 1
 
 
+def test_a_suite_that_the_export_changed_is_named_with_its_changes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "changed"
+    shutil.copytree(exported.folder(), folder)
+    card = json.loads((folder / "card.json").read_text())
+    assert card["suites"]["stand"]["changed_by"] == []
+    card["suites"]["stand"]["changed_by"] = ["board=mini", "start.x=[0,0]"]
+    (folder / "card.json").write_text(json.dumps(card))
+    main([str(folder), "suite=stand", "episodes=1", f"json={tmp_path / 'r.json'}"])
+    assert "\nstand, changed by board=mini, start.x=[0,0]: success " in capsys.readouterr().out
+    assert json.loads((tmp_path / "r.json").read_text())["evaluated"]["changed_by"] == ["board=mini", "start.x=[0,0]"]
+
+
 def test_all_suites_of_a_folder_that_has_none_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "bare"
     shutil.copytree(exported.folder(), folder)

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from skatemount.utils.formatting import format_count, format_duration
+from skatemount.utils.formatting import format_changes, format_count, format_duration
 
 
 @pytest.mark.parametrize(
@@ -15,6 +15,20 @@ from skatemount.utils.formatting import format_count, format_duration
 )
 def test_counts(value: float, text: str) -> None:
     assert format_count(value) == text
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ([], ""),
+        (["board=mini"], ", changed by board=mini"),
+        (["board=mini", "start.x=[0,1]"], ", changed by board=mini, start.x=[0,1]"),
+        (["a=1" * 30, "b=2"], f", changed by {'a=1' * 30} and 1 more setting"),
+        (["board=mini", "b=2" * 30, "c=3"], ", changed by board=mini and 2 more settings"),
+    ],
+)
+def test_changes(settings: list[str], text: str) -> None:
+    assert format_changes(settings) == text
 
 
 @pytest.mark.parametrize(
