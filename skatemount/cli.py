@@ -19,6 +19,7 @@ from skatemount.config.compose import checked, composed_values, plain
 from skatemount.config.messages import is_of_library, reason
 from skatemount.config.overrides import check_option, is_hydras, prepare, read
 from skatemount.config.own_files import check_own_files
+from skatemount.config.unused import check_used
 from skatemount.config.versions import renaming
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.quiet import ignore_library_warnings
@@ -52,7 +53,9 @@ def run(verb: Callable[..., float | None], program: str) -> None:
         try:
             # Paths in settings are relative to the folder where the command started, also with hydra.job.chdir.
             os.chdir(HydraConfig.get().runtime.cwd)
-            verb(checked(plain(composed), program), list(HydraConfig.get().overrides.task))
+            config, overrides = checked(plain(composed), program), list(HydraConfig.get().overrides.task)
+            check_used(config, overrides)
+            verb(config, overrides)
         except (ConfigError, FloatingPointError, OSError) as error:
             # Caught here because Hydra would print a line of its own first.
             fail(error)

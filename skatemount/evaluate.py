@@ -71,9 +71,8 @@ def evaluate(config: EvaluateConfig, overrides: list[str]) -> Score:
             written.append(_write({"suites": documents} if len(tasks) > 1 else documents[task.name], Path(config.json)))
     with table:
         if len(tasks) > 1:
-            print(
-                f"\n{tasks[0].agent.name}, {config.episodes} episodes of each suite{format_changes(tasks[0].changed_by)}\n"
-            )
+            changed = format_changes(tasks[0].changed_by)
+            print(f"\n{tasks[0].agent.name}, {config.episodes} episodes of each suite{changed}\n")
             print(report.overview(results, "suite"))
             if ladders := {name: found for name, each in results.items() if (found := each.ladder()) is not None}:
                 print(f"\n{ladder.table(ladders)}")

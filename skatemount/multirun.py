@@ -22,6 +22,7 @@ from skatemount import config as configuration
 from skatemount.config.compose import checked, composed_values, plain
 from skatemount.config.messages import is_of_library, reason
 from skatemount.config.overrides import hydra_text, read
+from skatemount.config.unused import check_used
 from skatemount.evaluation import sweep_report
 from skatemount.runs import atomic
 from skatemount.runs.sweep import RESULTS_FILE, Job, SweepFolder, analyze, key_of, open_sweep
@@ -148,6 +149,7 @@ def _check_job(program: str, overrides: list[str], whole: bool) -> None:
         composed_values(program, overrides)
         return
     config = configuration.compose_program(program, overrides)
+    check_used(config, overrides)
     if program == TRAIN:
         from skatemount.training.chain import check_stages  # imports torch
 
@@ -203,6 +205,7 @@ class _Task:
         resumes = program == TRAIN and job.cut_off_run() is not None
         try:
             config = checked(plain(composed), program)
+            check_used(config, job.overrides)
             if program == TRAIN:
                 score = self.verb(config, job.overrides, job)
             else:

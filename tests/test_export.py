@@ -10,7 +10,9 @@ import torch
 from composed import one_line
 
 from skatemount.config import compose_program
+from skatemount.evaluation import suite_task
 from skatemount.export import export
+from skatemount.exporting import folder as folders
 from skatemount.runner.folder import PolicyFolder
 from skatemount.utils.errors import ConfigError
 
@@ -47,9 +49,22 @@ def test_without_start_states_it_is_for_a_robot_alone(tmp_path: Path, monkeypatc
     assert PolicyFolder("exported/tiny").suites == {}
 
 
+def test_a_program_of_torch_and_an_export_without_start_states_need_no_suite(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No suite is composed, and no word is said about suites whose boards vary."""
+    names: list[str] = []
+    monkeypatch.setattr(suite_task, "load_suite", lambda name: names.append(name))
+    monkeypatch.setattr(folders, "write_program", lambda path, agent: None)
+    run(f"output={tmp_path / 'policy'}", "format=torch")
+    assert capsys.readouterr().out == f"tiny: policy.pt2 and card.json written to {tmp_path / 'policy'}\n"
+    run(f"output={tmp_path / 'policy'}", "episodes=0")
+    assert "left out" not in capsys.readouterr().out and not names
+
+
 @pytest.mark.slow
 def test_a_program_of_torch(tmp_path: Path) -> None:
-    run(f"output={tmp_path / 'policy'}", "format=torch", "suite=mount-fixed")
+    run(f"output={tmp_path / 'policy'}", "format=torch")
     program = torch.export.load(tmp_path / "policy" / "policy.pt2").module()
     size = exported.agent().networks.sizes[0]
     action, targets = program(torch.zeros(3, size))

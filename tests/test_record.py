@@ -74,7 +74,7 @@ def test_makes_a_film_and_a_picture_of_its_moments(checkpoint: Path, capsys: pyt
     mp4, strip = film(checkpoint, "episode=2")
     printed = capsys.readouterr().out
     assert mp4.name in printed and strip.name in printed
-    assert "balance, seed 0, episode 2\n" in printed and "episode2.mp4" in printed
+    assert f"balance{CHANGED}, seed 0, episode 2\n" in printed and "episode2.mp4" in printed
     about, pictures = read(mp4)
     assert (about["size"], about["fps"]) == ((720, 540), 25.0)
     assert len(pictures) == 3 + round(HOLD * 25)  # the last one stays

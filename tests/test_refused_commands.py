@@ -74,6 +74,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "memory": ("train +stage=balance physics.num_worlds=1000000", "physics.num_worlds=1000000"),
     "worlds": ("train +stage=balance physics.num_worlds=1000000000", "physics.num_worlds=1000000000 must be from 1"),
     "time": ("evaluate episodes=1000000 episode_length=3600", "episodes=1000000: episodes of episode_length=3600"),
+    "unused": ("record episode=3 failures=2 checkpoint=nowhere", "failures=2 needs episodes=failed"),
+    "unused in a multirun": ("record -m episode=3,4 failures=2 checkpoint=nowhere", "failures=2 needs episodes=failed"),
     "film": ("record film.width=641", "film.width=641 must be an even number of pixels"),
     "page": ("report page.films=11", "page.films=11 must be 0 (none) or from 1 to 10"),
     "run of a page": ("report run=nowhere", "run=nowhere: not found"),

@@ -52,7 +52,8 @@ class Evaluation:
     def title(self) -> str:
         """Title for tables and figures: policy, suite and the suite's version, as far as they are known.
 
-        The settings that changed the suite follow. Task and robot follow where they are not the defaults, nor the suite's own name.
+        Task and robot follow where they are not the defaults, nor the suite's own name; then the settings that changed
+        the suite.
         """
         what = [str(self.evaluated[key]) for key in ("checkpoint", "suite") if key in self.evaluated]
         definition = self.evaluated.get("definition")
