@@ -7,6 +7,7 @@ import os
 import shlex
 import subprocess
 import sys
+import typing
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,10 @@ import pytest
 from tiny import BATCH, TINY
 
 from skatemount import cli
-from skatemount.config import compose_program, set_user_config_dir
+from skatemount.config import compose_program, overrides, set_user_config_dir
+from skatemount.config.keys import keys
 from skatemount.config.overrides import hydra_text, prepare, read
+from skatemount.config.programs import PROGRAMS
 from skatemount.evaluate import evaluate
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
@@ -43,6 +46,23 @@ NAMES = [
 ]
 """Names that Hydra would read in another way, or not at all."""
 
+TEXTS = {
+    **dict.fromkeys(["resume", "init_from", "algorithm.teacher", "stage.init_from", "stage.description"], "train"),
+    **dict.fromkeys(["logger.root", "logger.name", "logger.experiment"], "train"),
+    **dict.fromkeys(["checkpoint", "pipeline", "json", "output", "suite.description"], "evaluate"),
+    **dict.fromkeys(["run", "against", "sweep"], "report"),
+    "host": "play",
+}
+"""Settings whose values are paths, names and sentences, each with a program that has it."""
+
+CHOICES = {
+    "agent", "algorithm.kind", "command.board_point", "command.mode", "command.turn_to", "curriculum.kind",
+    "curriculum.name", "film.background", "film.camera", "format", "network.activation", "network.kind", "physics.cone",
+    "physics.device", "physics.engine", "physics.solver", "precision", "robot.variant", "stage.name", "success",
+    "suite.ladder", "suite.name", "suite.stage", "suite.unit", "viewer",
+}  # fmt: skip
+"""Settings that take one of a few words, or a name of letters and digits."""
+
 ALL = "ä b,c=(d)'e$f\"g"
 
 
@@ -65,19 +85,37 @@ def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_paths_are_what_was_typed(name: str) -> None:
-    for program, settings in {
-        "train": ["resume", "init_from", "logger.root", "logger.name", "logger.experiment"],
-        "evaluate": ["checkpoint", "json", "output", "logger.root"],
-        "record": ["checkpoint", "output", "logger.root"],
-        "play": ["checkpoint", "run", "host"],
-        "report": ["run", "against", "sweep", "output", "logger.root"],
-        "bench": ["init_from", "json", "output"],
-    }.items():
-        for setting in settings:
-            for value in (name, f"x/{name}/best"):
-                (prepared,) = prepare([f"{setting}={value}"], program)
-                assert read(prepared).value() == value
-                assert prepare([prepared], program) == [prepared]  # once is enough
+    for setting, program in TEXTS.items():
+        for value in (name, f"x/{name}/best"):
+            (prepared,) = prepare([f"{setting}={value}"], program)
+            assert read(prepared).value() == value
+            assert prepare([prepared], program) == [prepared]  # once is enough
+    for setting in ("runs", "page.results"):
+        if "," in name or "'" in name:
+            continue  # commas separate paths, and quotes are as those of a shell
+        (prepared,) = prepare([f"{setting}=[{name},x/{name}/best.json]"], "report")
+        assert read(prepared).value() == [name, f"x/{name}/best.json"]
+        assert prepare([prepared], "report") == [prepared]
+
+
+def test_lists_of_paths_may_have_quotes_and_be_swept() -> None:
+    (prepared,) = prepare(["runs=['a,b', c (1)]"], "report")
+    assert read(prepared).value() == ["a,b", "c (1)"]
+    given = ["runs=[a,b],[c,d]", "page.results=[]", "runs=[${oc.env:HOME}]"]
+    assert prepare(given, "report", multirun=True) == given
+
+
+def test_every_setting_is_a_choice_or_taken_as_it_is_typed() -> None:
+    """A path, name or sentence may have any characters; one of a few words, or of letters and digits, needs no care."""
+    assert TEXTS.keys() == overrides._TEXTS
+    found = {
+        setting
+        for schema in PROGRAMS.values()
+        for setting, hint in keys(schema).items()
+        if str in (hint, *typing.get_args(hint)) and typing.get_origin(hint) is not dict
+    }
+    lists = {"callbacks", "logger.loggers", "plugins", "suite.members", "suite.overrides", "runs", "page.results"}
+    assert found - lists == overrides._TEXTS | CHOICES
 
 
 def test_values_that_are_hydras_stay() -> None:

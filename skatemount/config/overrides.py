@@ -24,6 +24,7 @@ _WHOLE_FLOAT = re.compile(r"[+-]?\d[\d_]*(\.\d*)?[eE]\+?\d+|[+-]?\d[\d_]*\.0*")
 _TEXTS = frozenset(
     [
         "against",
+        "algorithm.teacher",
         "checkpoint",
         "host",
         "init_from",
@@ -35,10 +36,17 @@ _TEXTS = frozenset(
         "pipeline",
         "resume",
         "run",
+        "stage.description",
+        "stage.init_from",
+        "suite.description",
         "sweep",
     ]
 )
-"""Settings whose values are paths and names, which are taken as they are typed, whatever Hydra's grammar says."""
+"""Settings whose values are paths, names and sentences, which are taken as they are typed, whatever Hydra's grammar
+says."""
+
+_TEXT_LISTS = frozenset(["page.results", "runs"])
+"""Settings whose values are lists of paths and names."""
 
 _SAME_IN_HYDRA = re.compile(
     r"(?!(true|false|inf|nan)$)(\.{0,2}/)*[A-Za-z_][A-Za-z0-9_./:+-]*", re.IGNORECASE | re.ASCII
@@ -101,6 +109,8 @@ def prepare(overrides: Sequence[str], program: str, multirun: bool = False) -> l
         if override.key in _TEXTS and override.value and is_known(PROGRAMS[program], override.key):
             value = _text(override.value, folders if multirun else None)
             prepared.append(f"{override.prefix}{override.key}={value}")
+        elif override.key in _TEXT_LISTS and override.value and is_known(PROGRAMS[program], override.key):
+            prepared.append(f"{override.prefix}{override.key}={_text_list(override.value)}")
         else:
             prepared.append(_prepared(override, written, program))
     return prepared
@@ -150,6 +160,14 @@ def _text(value: str, folders: Sequence[Path] | None) -> str:
         if len(pieces) > 1:
             return ",".join(_text(piece, None) for piece in pieces)
     return hydra_text(value)
+
+
+def _text_list(value: str) -> str:
+    """Return a list of paths or names in Hydra's form; anything else, such as several lists of a sweep, as it is."""
+    inside = value[1:-1].strip()
+    if not (value.startswith("[") and value.endswith("]") and inside) or re.search(r"\]\s*,\s*\[", inside):
+        return value
+    return f"[{','.join(_text(piece.strip(), None) for piece in _split(inside))}]"
 
 
 def _exists(path: Path) -> bool:
