@@ -11,13 +11,15 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-OPTIONS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+import chromium  # noqa: E402
+
 PICTURES = """() => new Promise(done => {
   let pictures = 0; const start = performance.now();
   const next = () => { pictures++;
@@ -41,8 +43,6 @@ def share(process: subprocess.Popen[str], seconds: float) -> float:
 
 def measure(settings: list[str], worlds: int, seconds: float) -> dict[str, float]:
     """Return what a page with a number of worlds costs."""
-    from playwright.sync_api import sync_playwright
-
     command = [sys.executable, "-m", "skatemount.play", f"worlds={worlds}", "open_browser=false", "plain=true"]
     process = subprocess.Popen([*command, *settings], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
@@ -50,9 +50,7 @@ def measure(settings: list[str], worlds: int, seconds: float) -> dict[str, float
         address = next(found[0] for line in process.stdout if (found := re.search(r"http://\S+", line)))
         time.sleep(3)
         closed = share(process, seconds)
-        with sync_playwright() as playwright:
-            path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-            browser = playwright.chromium.launch(executable_path=path, args=OPTIONS)
+        with chromium.launched() as browser:
             page = browser.new_page(viewport={"width": 1180, "height": 700})
             page.goto(address)
             page.wait_for_selector("#play-time", timeout=120_000)
@@ -62,7 +60,6 @@ def measure(settings: list[str], worlds: int, seconds: float) -> dict[str, float
             simulated = float(page.inner_text("#play-time").split()[0]) - begun
             speed = simulated / (time.perf_counter() - start)
             pictures = float(page.evaluate(PICTURES))
-            browser.close()
     finally:
         process.terminate()
         process.wait(30)

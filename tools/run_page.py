@@ -16,14 +16,17 @@ from __future__ import annotations
 
 import argparse
 import re
-import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+import chromium  # noqa: E402
 
 CONSOLE = re.compile(r"^```console\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 TIME = re.compile(r"^\[\d+ s, processor \d+ s\]$")
@@ -32,6 +35,8 @@ MOUNTED = (2.0, 4.5)
 """Part of an episode in which the robot stands on its board, s."""
 PUSHED_STEPS = 6
 """Control steps between the push and the picture."""
+PATIENCE = 240.0
+"""Seconds to wait for `play` and its page: drawing in software on a machine that has other work is slow."""
 WIDTH = 116
 """Characters of a line of output; longer ones are cut."""
 
@@ -117,27 +122,59 @@ class Shell:
         """Run `play` until its page has been opened and its robot pushed; return the same as `run`."""
         log = "${TMPDIR:-/tmp}/play.log"
         self.run(f"{command} open_browser=false plain=true >{log} 2>&1 & playing=$!")
-        while (address := re.search(r"http://\S+", printed := self.run(f"cat {log}")[1])) is None:
+        printed = ""
+
+        def address() -> str:
+            nonlocal printed
+            printed = self.run(f"cat {log}")[1]
             if self.run("kill -0 $playing")[0]:
                 raise RuntimeError(f"play ended: {printed}")
-            time.sleep(0.2)
-        push(address[0], picture)
-        processor = self.run("ps -o cputimes= -p $playing")[1]
-        # A program that a shell without job control starts in the background ignores SIGINT.
-        status = self.run("kill -TERM $playing; wait $playing")[0]
+            found = re.search(r"http://\S+", printed)
+            return found[0] if found is not None else ""
+
+        try:
+            push(wait(address, "an address that play prints", lambda: f"it printed: {printed}"), picture)
+        finally:
+            processor = self.run("ps -o cputimes= -p $playing")[1]
+            # A program that a shell without job control starts in the background ignores SIGINT.
+            status = self.run("kill -TERM $playing; wait $playing")[0]
         return 0 if status == 143 else status, printed, float(processor)
 
 
-def push(address: str, picture: Path | None) -> None:
-    """Open the page of `play`, push the robot when it stands on its board, and take a picture a moment later."""
-    from playwright.sync_api import sync_playwright
+def wait(
+    what: Callable[[], Any], named: str, said: Callable[[], str], pause: Callable[[float], Any] = time.sleep
+) -> Any:
+    """Wait until something is true, `PATIENCE` seconds at most.
 
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    options = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=options)
+    Args:
+        what: Is called again and again until what it returns is true.
+        named: What is waited for, for the error.
+        said: Returns what there is in its place, for the error.
+        pause: Waits for a number of seconds.
+
+    Returns:
+        What ``what`` returned.
+
+    Raises:
+        RuntimeError: The time is over.
+    """
+    end = time.monotonic() + PATIENCE
+    while not (found := what()):
+        if time.monotonic() >= end:
+            raise RuntimeError(f"waited {PATIENCE:g} s for {named}; {said()}")
+        pause(0.1)
+    return found
+
+
+def push(address: str, picture: Path | None) -> None:
+    """Open the page of `play`, push the robot when it stands on its board, and take a picture a moment later.
+
+    Raises:
+        RuntimeError: The robot does not stand on its board in time, or the page does not step.
+    """
+    with chromium.launched() as browser:
         page = browser.new_page(viewport={"width": 1180, "height": 700})
-        page.set_default_timeout(240_000)
+        page.set_default_timeout(1000 * PATIENCE)
         page.goto(address)
         page.wait_for_selector("#play-robot")
 
@@ -150,9 +187,13 @@ def push(address: str, picture: Path | None) -> None:
         def seconds() -> float:
             return float(page.inner_text("#play-episode").split()[0])
 
+        def until(condition: Callable[[], bool], named: str) -> None:
+            told = lambda: f"the page shows {page.inner_text('#play-episode')!r}"  # noqa: E731
+            wait(condition, named, told, lambda pause: page.wait_for_timeout(1000 * pause))
+
         tab("Play")
-        while not MOUNTED[0] <= seconds() <= MOUNTED[1]:
-            page.wait_for_timeout(100)
+        standing = "an episode's time of {:g} to {:g} s".format(*MOUNTED)
+        until(lambda: MOUNTED[0] <= seconds() <= MOUNTED[1], standing)
         button("Pause").click()
         tab("Disturb")
         button("Push robot").click()
@@ -160,14 +201,12 @@ def push(address: str, picture: Path | None) -> None:
         for _ in range(PUSHED_STEPS):
             before = seconds()
             button("Single step").click()
-            while seconds() == before:
-                page.wait_for_timeout(100)
+            until(lambda before=before: seconds() != before, f"a step after {before:g} s")  # type: ignore[misc]
         tab("Disturb")
         page.add_style_tag(content="[class*=Notification]{display:none!important}")
         page.wait_for_timeout(8000)
         if picture is not None:
-            page.screenshot(path=str(picture), timeout=240_000)
-        browser.close()
+            page.screenshot(path=str(picture), timeout=1000 * PATIENCE)
 
 
 def plays(command: str) -> bool:

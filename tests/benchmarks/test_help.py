@@ -18,6 +18,13 @@ SCRIPTS = sorted(
 )
 
 
+def test_chromium_has_one_home() -> None:
+    """Its names and the options that it starts with."""
+    files = [path for folder in ("benchmarks", "tests", "tools") for path in (ROOT / folder).rglob("*.py")]
+    words = ("google-" + "chrome", "enable-unsafe-" + "swiftshader")
+    assert [path.name for path in files if any(word in path.read_text() for word in words)] == ["chromium.py"]
+
+
 @pytest.mark.parametrize("script", SCRIPTS)
 def test_help_begins_with_the_scripts_first_sentence(
     script: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

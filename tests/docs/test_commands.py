@@ -5,6 +5,7 @@ The output that a page shows must have the lines that the command prints today; 
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import json
 import os
@@ -203,6 +204,43 @@ def test_blocks_are_read_and_filled(run_page: ModuleType) -> None:
     assert second.commands == ["two", "three"]
     assert first.filled("1\n2\n3\n4\n", 12.4, 3.6) == "$ one \\\n    more\n1\n...\n4\n[12 s, processor 4 s]\n"
     assert first.filled("1\n2\n", 0, 0) == "$ one \\\n    more\n1\n2\n[0 s, processor 0 s]\n"
+
+
+class _StandingStill:
+    """A page of `play` whose time does not pass."""
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        return lambda *given, **named: self
+
+    def inner_text(self, selector: str) -> str:
+        return "0.04 s"
+
+    first = property(lambda self: self)
+
+
+def test_waiting_for_a_page_ends_with_what_it_shows(run_page: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_page.chromium, "launched", lambda: contextlib.nullcontext(_StandingStill()))
+    monkeypatch.setattr(run_page, "PATIENCE", 0.0)
+    with pytest.raises(RuntimeError) as error:
+        run_page.push("http://127.0.0.1:1", None)
+    assert str(error.value) == "waited 0 s for an episode's time of 2 to 4.5 s; the page shows '0.04 s'"
+    monkeypatch.setattr(run_page, "MOUNTED", (0.0, 1.0))
+    with pytest.raises(RuntimeError, match=r"^waited 0 s for a step after 0.04 s; the page shows '0.04 s'$"):
+        run_page.push("http://127.0.0.1:1", None)
+
+
+def test_a_program_that_prints_no_address_is_ended(
+    run_page: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(run_page, "PATIENCE", 0.0)
+    shell = run_page.Shell(tmp_path)
+    with pytest.raises(RuntimeError, match="^waited 0 s for an address that play prints; it printed: $"):
+        shell.play("sh -c 'exec sleep 600'", None)
+    assert shell.run("kill -0 $playing")[0] != 0
+    with pytest.raises(RuntimeError, match="^play ended: nothing here"):
+        monkeypatch.setattr(run_page, "PATIENCE", 60.0)
+        shell.play("sh -c 'echo nothing here'", None)
 
 
 def test_lines_that_a_command_no_longer_prints_are_found() -> None:

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import chromium
 import numpy as np
 import pytest
 from parsed_page import Page
@@ -22,11 +23,10 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("torch_as_it_was")]
 
 def browse(page: Path, *options: str) -> subprocess.CompletedProcess[str]:
     """Open a page in headless Chromium; every address outside of the page fails."""
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    assert chromium is not None, "this test needs Chromium; on Debian: apt install chromium"
     return subprocess.run(
         [
-            chromium, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--enable-logging=stderr",
+            chromium.find(),
+            "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--enable-logging=stderr",
             "--proxy-server=127.0.0.1:9", f"--user-data-dir={page.parent / 'chromium'}", "--window-size=1280,1600",
             "--virtual-time-budget=3000", *options, f"file://{page}",
         ],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import chromium
 import pytest
 
 from skatemount.viewer import server
@@ -39,18 +39,10 @@ def fragile(sim, episode, context):
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """Chromium without a window. Without it these tests fail, because nothing else tests the page."""
-    found = [path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))]
-    if not found:
-        pytest.fail("the tests of the page need a browser: apt install chromium")
     if not server.is_installed():
         pytest.fail("the tests of the page need viser and mjviser: pip install -e '.[test]'")
-    from playwright.sync_api import sync_playwright
-
-    options = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=found[0], args=options)
-        yield chromium
-        chromium.close()
+    with chromium.launched() as started:
+        yield started
 
 
 class Played:
