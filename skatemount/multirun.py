@@ -28,6 +28,7 @@ from skatemount.runs import atomic
 from skatemount.runs.sweep import RESULTS_FILE, Job, SweepFolder, analyze, key_of, open_sweep
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.quiet import ignore_library_warnings
+from skatemount.utils.ranks import launch
 from skatemount.utils.signals import Ended
 from skatemount.utils.terminal import safe_streams
 
@@ -60,7 +61,7 @@ def run(verb: Callable[..., float | None], program: str, settings: Sequence[str]
     Raises:
         ConfigError: A setting that cannot be used in any job.
     """
-    if int(os.environ.get("WORLD_SIZE", "1")) > 1 and "RANK" in os.environ:
+    if launch().is_rank:
         raise ConfigError("-m cannot be started by torchrun with several ranks; start one training at a time")
     for each in settings:
         if key_of(each) in _OURS:

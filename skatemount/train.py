@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from typing import TYPE_CHECKING
 
+from skatemount.utils.ranks import launch
 from skatemount.utils.signals import exiting_by_signals
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
     Raises:
         ConfigError: No stage, or a setting that cannot be used.
     """
-    if sys.stderr.isatty() and os.environ.get("RANK", "0") == "0":
+    if sys.stderr.isatty() and launch().rank == 0:
         # The imports take seconds.
         print("loading ...", file=sys.stderr, flush=True)
 

@@ -77,7 +77,6 @@ TESTED_IN = {
     "training/setup.py": "training/test_trainer.py",
     "training/state.py": "training/test_trainer.py",
     "training/trainer_state.py": "training/test_exact_resume.py",
-    "utils/ranks.py": "training/test_distributed.py",
 }
 """Modules that are part of what another module's tests are about, and that test file."""
 

@@ -17,7 +17,6 @@ import contextlib
 import enum
 import hashlib
 import json
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from datetime import timedelta
@@ -35,7 +34,7 @@ from skatemount.training.addresses import use_interface_to
 from skatemount.training.connection import START_TIMEOUT, Connection, RankLost
 from skatemount.utils.devices import choose_device
 from skatemount.utils.errors import ConfigError
-from skatemount.utils.ranks import ALONE, Ranks
+from skatemount.utils.ranks import ALONE, Ranks, launch
 
 MAY_DIFFER = ("logger", "torch_threads", "resume", "physics.threads", "physics.device", "plugins")
 """Settings that ranks need not share: threads and device are each rank's own, and of the others rank 0's count."""
@@ -66,7 +65,7 @@ class JoinedRanks(Ranks):
         self.rank, self.size = connection.rank, connection.size
         self.bytes, self.reductions, self.seconds = 0, 0, 0.0
         self._connection = connection
-        local = int(os.environ.get("LOCAL_WORLD_SIZE", str(self.size)))
+        local = launch().local_size or self.size
         self.command = ("torchrun", f"--nnodes={self.size // local}", f"--nproc-per-node={local}")
         self._trainings = 0
         self._spoken = time.monotonic()
@@ -297,11 +296,6 @@ def current() -> Ranks:
     return _current
 
 
-def is_rank() -> bool:
-    """Return whether ``torchrun`` started this process as one of several."""
-    return all(name in os.environ for name in ("RANK", "MASTER_ADDR")) and int(os.environ.get("WORLD_SIZE", "1")) > 1
-
-
 @contextlib.contextmanager
 def joined(config: TrainConfig) -> Iterator[Ranks]:
     """Join the other ranks for a ``with`` block, if ``torchrun`` started this process as one of several.
@@ -314,17 +308,18 @@ def joined(config: TrainConfig) -> Iterator[Ranks]:
         RankLost: Not all ranks have started.
     """
     global _current
-    if not is_rank():
+    launched = launch()
+    if not launched.is_rank:
         yield ALONE
         return
     on_gpu = _choose_gpu(config)
-    use_interface_to(os.environ["MASTER_ADDR"])
+    use_interface_to(launched.address)
     try:
         store, rank, size = next(iter(rendezvous("env://", timeout=timedelta(seconds=START_TIMEOUT))))
     except RuntimeError as error:
         raise RankLost(f"the ranks cannot be joined: {' '.join(str(error).split())[:200]}") from error
     # The store outlives a restart, and has the addresses of the processes before it.
-    store = dist.PrefixStore(f"attempt {os.environ.get('TORCHELASTIC_RESTART_COUNT', '0')}", store)
+    store = dist.PrefixStore(f"attempt {launched.restarts}", store)
     timeout = config.distributed.timeout
     connection = Connection(dist.PrefixStore("skatemount", store), rank, size, timeout)
     connection.meet("start")
@@ -357,7 +352,7 @@ def _choose_gpu(config: TrainConfig) -> bool:
     if physics.engine == "cpu" or physics.device == "cpu" or not torch.cuda.is_available():
         return False
     if physics.device in ("auto", "cuda"):
-        local, there = int(os.environ.get("LOCAL_RANK", "0")), torch.cuda.device_count()
+        local, there = launch().local_rank, torch.cuda.device_count()
         if local >= there:
             raise ConfigError(
                 f"physics.device={physics.device}: this machine has {there} GPUs, but more ranks; start one for each "

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
-
 from skatemount import config as configuration
 from skatemount.config import TrainConfig
 from skatemount.training.connection import RankLost
 from skatemount.training.distributed import JoinedRanks
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
+from skatemount.utils.ranks import launch
 from skatemount.utils.signals import Ended
 
 
@@ -39,7 +38,7 @@ def follow(ranks: JoinedRanks, config: TrainConfig) -> None:
     except ConfigError as error:
         raise ConfigError(f"rank {ranks.rank}: {error}") from error
     except RankLost:
-        if os.environ.get("LOCAL_RANK", "0") == "0":
+        if launch().local_rank == 0:
             raise
         raise SystemExit(1) from None
     except Ended as end:

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from skatemount.utils.errors import ConfigError
+from skatemount.utils.ranks import launch
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -52,7 +53,7 @@ def available_cores() -> int:
     Those are the cores that it may run on, or its share of them if ``torchrun`` has started several ranks here.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, cores // max(1, int(os.environ.get("LOCAL_WORLD_SIZE", "1"))))
+    return max(1, cores // max(1, launch().local_size or 1))
 
 
 @contextlib.contextmanager

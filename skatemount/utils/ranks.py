@@ -1,12 +1,78 @@
-"""`Ranks`: the processes that train one policy together, as the code that learns knows them."""
+"""The processes that train one policy together: `Ranks`, as the code that learns knows them, and `launch`.
+
+This module imports no torch, as the command line does not.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-from torch import Tensor, nn
+from skatemount.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+
+@dataclass(frozen=True)
+class Launch:
+    """What ``torchrun`` tells each process that it starts, by variables of its environment.
+
+    The values of a process that it did not start are those of the only one.
+
+    Attributes:
+        rank: Number of this process among all, from 0.
+        size: Number of all processes.
+        local_rank: Number of this process on its machine, from 0.
+        local_size: Number of processes on its machine; None if the environment does not say.
+        address: Address of the machine with rank 0; "" if the environment does not say.
+        restarts: Number of times that the processes were restarted.
+        numbered: Whether the environment gives this process a rank.
+    """
+
+    rank: int
+    size: int
+    local_rank: int
+    local_size: int | None
+    address: str
+    restarts: int
+    numbered: bool
+
+    @property
+    def is_rank(self) -> bool:
+        """True if ``torchrun`` started this process as one of several."""
+        return self.numbered and bool(self.address) and self.size > 1
+
+
+def launch() -> Launch:
+    """Return what ``torchrun`` told this process.
+
+    Raises:
+        ConfigError: A variable is no whole number.
+    """
+    return Launch(
+        rank=_number("RANK", 0),
+        size=_number("WORLD_SIZE", 1),
+        local_rank=_number("LOCAL_RANK", 0),
+        local_size=_number("LOCAL_WORLD_SIZE", None),
+        address=os.environ.get("MASTER_ADDR", ""),
+        restarts=_number("TORCHELASTIC_RESTART_COUNT", 0),
+        numbered=bool(os.environ.get("RANK")),
+    )
+
+
+def _number(name: str, otherwise: Any) -> Any:
+    """Return a variable of the environment as a number, or another value if it is not set."""
+    text = os.environ.get(name)
+    if not text:
+        return otherwise
+    try:
+        return int(text)
+    except ValueError as error:
+        raise ConfigError(f"{name}={text} in the environment must be a whole number, as torchrun sets it") from error
 
 
 class Ranks:
