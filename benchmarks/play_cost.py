@@ -80,6 +80,8 @@ def measure(settings: list[str], worlds: int, seconds: float) -> dict[str, float
 
 ALONE, CLOSED, OPEN = "no program", "no page open", "page open"
 TRAINING = ["stage=balance", "physics.num_worlds=64"]
+OFTEN = ["logger.checkpoint_every=5"]
+"""The program waits for the first checkpoint, and then takes each new one."""
 FIXED = ["torch_threads=1", "physics.threads=1", "logger.evaluate_every=0", "logger.final_episodes=0",
          "total_frames=1000000000", "logger.experiment=watched", "logger.name=watched"]  # fmt: skip
 PATIENCE = 600.0
@@ -174,7 +176,7 @@ class Training:
 
     def __init__(self, root: Path, settings: Sequence[str]):
         self._log = root / "training.log"
-        command = [sys.executable, "-m", "skatemount.train", *settings, *FIXED, f"logger.root={root}"]
+        command = [sys.executable, "-m", "skatemount.train", *OFTEN, *settings, *FIXED, f"logger.root={root}"]
         with self._log.open("w") as file:
             self.process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT)
         self._root = root
@@ -283,6 +285,8 @@ def main() -> None:
     parser.add_argument("settings", nargs="*", help="of play; with --watch, of the training")
     options = parser.parse_intermixed_args()
     if options.watch:
+        # What it started ends with it.
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
         turns = measure_watching(options.settings or TRAINING, options.seconds, options.rounds)
         print(watch_table(turns))
         if options.json is not None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from skatemount.runs import atomic
 from skatemount.runs.folder import JOB_OF_TORCHRUN, RunFolder, is_run
+from skatemount.utils.ranks import launch
 
 
 def note_job(run: RunFolder) -> None:
@@ -24,7 +25,7 @@ def run_of_this_job(root: Path) -> Path | None:
         root: Folder of all runs.
     """
     name = _job()
-    if name is None or os.environ.get("TORCHELASTIC_RESTART_COUNT", "0") == "0":
+    if name is None or launch().restarts == 0:
         return None
     for note in sorted(root.glob(f"*/*/{JOB_OF_TORCHRUN}"), key=_age, reverse=True):
         with contextlib.suppress(OSError, UnicodeDecodeError):
@@ -35,9 +36,9 @@ def run_of_this_job(root: Path) -> Path | None:
 
 def _job() -> str | None:
     """Return a name of this job of ``torchrun``, whose process outlives those that it restarts."""
-    if "TORCHELASTIC_RUN_ID" not in os.environ:
+    if (job := launch().job) is None:
         return None
-    return f"{os.environ['TORCHELASTIC_RUN_ID']} {socket.gethostname()} {os.getppid()}"
+    return f"{job} {socket.gethostname()} {os.getppid()}"
 
 
 def _age(path: Path) -> float:

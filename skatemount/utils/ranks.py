@@ -30,6 +30,7 @@ class Launch:
         local_size: Number of processes on its machine; None if the environment does not say.
         address: Address of the machine with rank 0; "" if the environment does not say.
         restarts: Number of times that the processes were restarted.
+        job: Name of the job, which restarts do not change; None without one.
         numbered: Whether the environment gives this process a rank.
     """
 
@@ -39,6 +40,7 @@ class Launch:
     local_size: int | None
     address: str
     restarts: int
+    job: str | None
     numbered: bool
 
     @property
@@ -60,6 +62,7 @@ def launch() -> Launch:
         local_size=_number("LOCAL_WORLD_SIZE", None),
         address=os.environ.get("MASTER_ADDR", ""),
         restarts=_number("TORCHELASTIC_RESTART_COUNT", 0),
+        job=os.environ.get("TORCHELASTIC_RUN_ID"),
         numbered=bool(os.environ.get("RANK")),
     )
 

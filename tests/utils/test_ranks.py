@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,7 +17,7 @@ from skatemount.utils.ranks import launch
 PACKAGE = Path(__file__).resolve().parents[2] / "skatemount"
 SET = {
     "RANK": "5", "WORLD_SIZE": "8", "LOCAL_RANK": "1", "LOCAL_WORLD_SIZE": "4", "MASTER_ADDR": "node0",
-    "TORCHELASTIC_RESTART_COUNT": "2",
+    "TORCHELASTIC_RESTART_COUNT": "2", "TORCHELASTIC_RUN_ID": "a",
 }  # fmt: skip
 
 
@@ -37,7 +39,7 @@ def test_a_process_knows_what_torchrun_told_it(monkeypatch: pytest.MonkeyPatch) 
         monkeypatch.setenv(name, value)
     told = launch()
     assert (told.rank, told.size, told.local_rank, told.local_size, told.address) == (5, 8, 1, 4, "node0")
-    assert told.restarts == 2 and told.is_rank
+    assert (told.restarts, told.job) == (2, "a") and told.is_rank
     assert available_cores() == max(1, cores // 4)
 
 
@@ -58,8 +60,13 @@ def test_a_variable_that_is_no_number_is_one_line(monkeypatch: pytest.MonkeyPatc
     assert str(error.value) == "WORLD_SIZE=many in the environment must be a whole number, as torchrun sets it"
 
 
+def strings(path: Path) -> set[Any]:
+    """Return the texts in a file's code."""
+    return {node.value for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)}
+
+
 def test_the_variables_are_read_in_one_place() -> None:
-    reading = [path for path in PACKAGE.rglob("*.py") if any(f'"{name}"' in path.read_text() for name in SET)]
+    reading = [path for path in PACKAGE.rglob("*.py") if not strings(path).isdisjoint(SET)]
     assert [path.name for path in reading] == ["ranks.py"]
 
 
