@@ -43,6 +43,13 @@ def scores(config: Any, overrides: list[str], job: Job | None = None) -> float:
     return Score.of(config.seed, 10, frames=1000)
 
 
+def test_several_ranks_cannot_start_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"RANK": "0", "WORLD_SIZE": "2", "MASTER_ADDR": "localhost"}.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(ConfigError, match="^-m cannot be started by torchrun with several ranks"):
+        multirun.run(scores, "train", ["seed=1,2"])
+
+
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], runs_root: Path) -> Callable[..., Any]:
     """Calls a program with arguments; returns status, output and error output."""
