@@ -73,8 +73,7 @@ def measure(settings: list[str], worlds: int, seconds: float) -> dict[str, float
             speed = simulated / (time.perf_counter() - start)
             pictures = float(page.evaluate(PICTURES))
     finally:
-        process.terminate()
-        process.wait(30)
+        end(process)
     return {"worlds": worlds, "closed": closed, "open": opened, "speed": speed, "pictures": pictures}
 
 
@@ -166,6 +165,16 @@ def processor_times(processes: set[int]) -> float:
     return total
 
 
+def end(process: subprocess.Popen[str]) -> None:
+    """End a process: politely, or by force after a minute, as on a machine that has other work."""
+    process.terminate()
+    try:
+        process.wait(60)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
 class Training:
     """A training in a process of its own.
 
@@ -178,7 +187,7 @@ class Training:
         self._log = root / "training.log"
         command = [sys.executable, "-m", "skatemount.train", *OFTEN, *settings, *FIXED, f"logger.root={root}"]
         with self._log.open("w") as file:
-            self.process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT)
+            self.process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, text=True)
         self._root = root
 
     def _frames(self) -> int:
@@ -219,8 +228,7 @@ class Training:
 
     def end(self) -> None:
         """End the training."""
-        self.process.send_signal(signal.SIGTERM)
-        self.process.wait(120)
+        end(self.process)
 
 
 def measure_watching(settings: Sequence[str], seconds: float, rounds: int) -> list[Turn]:
@@ -264,13 +272,12 @@ def _watched(training: Training, root: Path, seconds: float) -> list[Turn]:
             page = browser.new_page(viewport={"width": 1180, "height": 700})
             page.goto(address)
             page.wait_for_selector("#play-time", timeout=1000 * PATIENCE)
-            time.sleep(5)
+            time.sleep(5)  # until everything is drawn
             program = descendants(process.pid)
             drawing = descendants(os.getpid()) - others - program
             turns.append(training.turn(OPEN, seconds, program, drawing))
     finally:
-        process.terminate()
-        process.wait(60)
+        end(process)
     return turns
 
 

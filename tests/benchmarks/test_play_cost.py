@@ -58,6 +58,21 @@ def test_a_training_that_ends_is_told(play_cost: ModuleType, tmp_path: Path) -> 
     training.process.wait()
 
 
+def test_a_process_that_does_not_end_is_ended_by_force(play_cost: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    process = subprocess.Popen(["sleep", "600"], text=True)
+    monkeypatch.setattr(process, "terminate", lambda: None)
+    waited = process.wait
+    limits: list[float | None] = []
+
+    def wait(timeout: float | None = None) -> int:
+        limits.append(timeout)
+        return waited(None if timeout is None else 0.0)
+
+    monkeypatch.setattr(process, "wait", wait)
+    play_cost.end(process)
+    assert process.returncode == -9 and limits == [60, None]
+
+
 def test_processes_are_found_with_those_that_they_start(play_cost: ModuleType) -> None:
     with subprocess.Popen(["sh", "-c", "sleep 60 & echo started; wait"], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
