@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Launch:
-    """What ``torchrun`` tells each process that it starts, by variables of its environment.
+    """Values that ``torchrun`` gives each process that it starts, by variables of its environment.
 
     The values of a process that it did not start are those of the only one.
 
