@@ -146,7 +146,11 @@ class EvaluationTask:
     @property
     def title(self) -> str:
         """Policy and suite in words, and by which settings the suite was changed."""
-        return f"{self.agent.name} on {self.name}{format_changes(self.changed_by)}"
+        return f"{self.agent.name} on {self.named()}"
+
+    def named(self, but: str = "") -> str:
+        """Return the suite and the settings that changed it in words, but for one that is told elsewhere."""
+        return self.name + format_changes([each for each in self.changed_by if each != but])
 
     @property
     def file_stem(self) -> str:

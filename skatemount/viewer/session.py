@@ -25,7 +25,6 @@ from skatemount.evaluation.evaluator import deterministic
 from skatemount.evaluation.results import in_words
 from skatemount.evaluation.suite_task import EvaluationTask, load_suite
 from skatemount.utils.errors import ConfigError
-from skatemount.utils.formatting import format_changes
 from skatemount.viewer.actors import SIMPLE
 from skatemount.viewer.conditions import ChosenStart, Conditions, same_worlds, seed_of, toward
 from skatemount.viewer.measures import End, RewardHistory, Tally
@@ -254,14 +253,8 @@ class Session:
     @property
     def config_name(self) -> str:
         """Suite, the settings that changed it, variant and board in words."""
-        changed = [each for each in self.task.changed_by if each != f"board={self.board}"]
-        parts = [
-            self.task.name + format_changes(changed),
-            self.variant,
-            self.board and f"board {self.board}",
-            str(self.conditions),
-        ]
-        return ", ".join(part for part in parts if part)
+        named, board = self.task.named(f"board={self.board}"), self.board and f"board {self.board}"
+        return ", ".join(filter(None, [named, self.variant, board, str(self.conditions)]))
 
     @property
     def policy_name(self) -> str:
@@ -278,8 +271,7 @@ class Session:
         """Play another task; the present one stays if that fails."""
         before, builds = (self.task, self.agent, self.variant), self.builds
         variant = self.variant if self.variant in task.configs else next(iter(task.configs))
-        if task.suite is self.task.suite:
-            task.suite_overrides = self.task.suite_overrides
+        task.suite_overrides = self.task.suite_overrides if task.suite is self.task.suite else []
         same = same_worlds(task.configs[variant], self.task.configs[self.variant])
         self.task, self.agent, self.variant = task, agent, variant
         try:
