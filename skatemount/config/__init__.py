@@ -19,6 +19,7 @@ from skatemount.config.programs import (
     PolicyConfig,
     RecordConfig,
     ReportConfig,
+    SearchProgramConfig,
 )
 from skatemount.config.schema import TrainConfig
 
@@ -30,6 +31,7 @@ __all__ = [
     "PolicyConfig",
     "RecordConfig",
     "ReportConfig",
+    "SearchProgramConfig",
     "check_choice",
     "compose",
     "compose_program",

@@ -48,6 +48,9 @@ says."""
 _TEXT_LISTS = frozenset(["page.results", "runs"])
 """Settings whose values are lists of paths and names."""
 
+_RANGES = "search.space."
+"""Beginning of the keys whose values are ranges of a search."""
+
 _SAME_IN_HYDRA = re.compile(
     r"(?!(true|false|inf|nan)$)(\.{0,2}/)*[A-Za-z_][A-Za-z0-9_./:+-]*", re.IGNORECASE | re.ASCII
 )
@@ -227,6 +230,9 @@ def _prepared(override: Override, written: str, program: str) -> str:
     if override.value is None:
         return override.written
     value = override.value
+    if key.startswith(_RANGES) and key != "search.space" and not _QUOTED.fullmatch(value):
+        # Hydra would take log(1,2) for a function of its own.
+        return f"++{key}={hydra_text(value)}"
     if _is_whole(keys(schema).get(key)):
         value = ",".join(map(_whole, value.split(",")))
     prefix = override.prefix

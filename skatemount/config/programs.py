@@ -10,6 +10,7 @@ from skatemount.config.bench import BenchConfig
 from skatemount.config.film import MAX_EPISODE, MAX_TOGETHER, FilmConfig, check_episodes
 from skatemount.config.report import PageConfig
 from skatemount.config.schema import MAX_SEED, TrainConfig, check_root
+from skatemount.config.search import SearchConfig
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.config.task import TaskConfig
 from skatemount.utils.bounds import number
@@ -203,6 +204,22 @@ class BenchProgramConfig(TrainConfig):
 
 
 @dataclass
+class SearchProgramConfig(TrainConfig):
+    """Settings of `python -m skatemount.search`; ``conf/search.yaml`` has the defaults.
+
+    Attributes:
+        search: Trials, space, sampler and pruner.
+    """
+
+    search: SearchConfig
+
+    def validate(self) -> None:
+        """Raise `ConfigError` for the first setting that cannot be used."""
+        super().validate()
+        self.search.validate("search")
+
+
+@dataclass
 class ReportConfig(TaskConfig):
     """Settings of `python -m skatemount.report`; ``conf/report.yaml`` has the defaults.
 
@@ -262,5 +279,6 @@ PROGRAMS: dict[str, type[TaskConfig]] = {
     "report": ReportConfig,
     "export": ExportConfig,
     "bench": BenchProgramConfig,
+    "search": SearchProgramConfig,
 }
 """Schema of each program; its YAML file has the same name."""

@@ -159,8 +159,8 @@ def clear(parent: Path, name: str = "", older: bool = False) -> None:
 def _is_left_over(temporary: os.DirEntry[str], older: bool) -> bool:
     """Return whether nobody writes a temporary any more."""
     owner = _OWNER.fullmatch(temporary.name)
-    if owner is not None and owner[1] == _machine() and os.name == "posix":
-        return not _is_alive(int(owner[2]))
+    if owner is not None and owner[1] == machine() and os.name == "posix":
+        return not is_alive(int(owner[2]))
     if owner is None and not _OLDER_OWNER.fullmatch(temporary.name):
         return False
     try:
@@ -170,7 +170,7 @@ def _is_left_over(temporary: os.DirEntry[str], older: bool) -> bool:
     return age > FORGOTTEN or owner is None and older
 
 
-def _is_alive(process: int) -> bool:
+def is_alive(process: int) -> bool:
     """Return whether a process of this machine runs."""
     try:
         os.kill(process, 0)
@@ -183,7 +183,7 @@ def _is_alive(process: int) -> bool:
 
 
 @functools.cache
-def _machine() -> str:
+def machine() -> str:
     """Return a short name of this machine; containers, which number their processes separately, have their own."""
     with contextlib.suppress(OSError):
         return _short(socket.gethostname() + os.readlink("/proc/self/ns/pid"))
@@ -196,7 +196,7 @@ def _short(name: str) -> str:
 
 def _temporary_neighbor(path: Path) -> Path:
     # Not `tempfile`: its files are private to the user whatever the umask says.
-    return path.with_name(f".{path.name}.{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{_TEMPORARY}")
+    return path.with_name(f".{path.name}.{machine()}-{os.getpid()}-{secrets.token_hex(4)}{_TEMPORARY}")
 
 
 def _sync(path: Path, flags: int) -> None:

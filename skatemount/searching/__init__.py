@@ -1,0 +1,1 @@
+"""Search of good settings: trials of a training that several processes share, with Optuna."""
