@@ -73,7 +73,7 @@ def run(verb: Callable[..., float | None], program: str, settings: Sequence[str]
         sweep.config_dir = options[-1] if options else None
         sys.argv[1:] = [*sys.argv[1:], f"hydra.sweep.dir={hydra_text(str(sweep.path))}"]
         if program == TRAIN:
-            _pin(sweep, settings)
+            sweep.pin_policies(settings)
             again = "; jobs that have finished are skipped, logger.experiment=<another> starts afresh"
             print(f"sweep: {sweep.path}{again if sweep.is_old else ''}", flush=True)
         application = hydra.main(str(configuration.config_dir().absolute()), program, version_base="1.3")
@@ -261,20 +261,6 @@ def _place(program: str, settings: Sequence[str]) -> tuple[Path, str]:
     if program == TRAIN:
         return Path(values["root"]) / values["experiment"], values["name"] or "sweep"
     return Path(values["root"]) / "multirun", program
-
-
-def _pin(sweep: SweepFolder, settings: Sequence[str]) -> None:
-    """Let a setting such as ``init_from=latest`` mean the same policy in all jobs, not the run of the job before."""
-    named: dict[str, str] = {}
-    for each in settings:
-        if (key := key_of(each)) in ("init_from", "algorithm.teacher"):
-            named |= {value: key for value in each.partition("=")[2].split(",") if value in ("latest", "best")}
-    if not named:
-        return
-    from skatemount.runs.find import find_checkpoint  # imports torch
-
-    root = sweep.path.parent.parent
-    sweep.pin({name: str(find_checkpoint(name, root, setting)) for name, setting in named.items()})
 
 
 def _finish(sweep: SweepFolder) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from skatemount.utils.ranks import launch
@@ -12,10 +13,13 @@ if TYPE_CHECKING:
     from skatemount.config import TrainConfig
     from skatemount.evaluation.results import Evaluation
     from skatemount.runs.sweep import Job, Score
+    from skatemount.training.callbacks import Callback
     from skatemount.training.trainer import Trainer
 
 
-def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> Score | None:
+def train(
+    config: TrainConfig, overrides: list[str], job: Job | None = None, callbacks: Sequence[Callback] = ()
+) -> Score | None:
     """Train a stage, or a chain of stages, and print the evaluated success of the final policy.
 
     If ``torchrun`` started this process as one of several, they train together; see
@@ -25,6 +29,7 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
         config: Every setting; with ``resume``, those that the run has saved count instead.
         overrides: What the user asked for.
         job: The job of a multirun, whose run lies in the sweep's folder. If its run was cut off, it resumes.
+        callbacks: As for `skatemount.training.trainer.Trainer`.
 
     Returns:
         The success rate of the final evaluation, or else of the last one during the training; see
@@ -45,10 +50,10 @@ def train(config: TrainConfig, overrides: list[str], job: Job | None = None) -> 
 
             follow(ranks, config)
             return None
-        return _train(config, overrides, job)
+        return _train(config, overrides, job, callbacks)
 
 
-def _train(config: TrainConfig, overrides: list[str], job: Job | None) -> Score:
+def _train(config: TrainConfig, overrides: list[str], job: Job | None, callbacks: Sequence[Callback]) -> Score:
     """Do what `train` does, as the only rank or rank 0."""
     from skatemount.evaluation import report
     from skatemount.training.chain import chain_to_train, check_stages
@@ -67,7 +72,7 @@ def _train(config: TrainConfig, overrides: list[str], job: Job | None) -> Score:
     restarted = job is None and _resume_after_restart(config)
     goes_on = restarted or sweep is not None and config.resume is not None
     overrides = [each for each in overrides if each.startswith("plugins=")] if restarted else overrides
-    chain = chain_to_train(config, overrides, sweep=sweep)
+    chain = chain_to_train(config, overrides, callbacks, sweep)
     if chain is not None:
         print(f"run: {chain.run.path}", flush=True)
         note_job(chain.run)
@@ -78,7 +83,8 @@ def _train(config: TrainConfig, overrides: list[str], job: Job | None) -> Score:
             print(next_commands(chain.run))
         return score_of(chain.run)
     check_stages(config, overrides)
-    trainer = Trainer(resume_config(config, overrides), overrides, sweep if config.resume is None else None)
+    parent = sweep if config.resume is None else None
+    trainer = Trainer(resume_config(config, overrides), overrides, parent, callbacks)
     print(trainer.describe(), flush=True)
     note_job(trainer.run)
     try:

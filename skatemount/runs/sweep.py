@@ -113,6 +113,23 @@ class SweepFolder:
         self.pinned = dict(policies) | document.get("pinned", {})
         atomic.write_text(path, json.dumps(document | {"pinned": self.pinned}, indent=2) + "\n")
 
+    def pin_policies(self, settings: Sequence[str]) -> None:
+        """Let a setting such as ``init_from=latest`` mean the same policy in all jobs, not the run of the job before.
+
+        Args:
+            settings: Settings of the command line in Hydra's form.
+        """
+        named: dict[str, str] = {}
+        for each in settings:
+            if (key := key_of(each)) in ("init_from", "algorithm.teacher"):
+                named |= {value: key for value in each.partition("=")[2].split(",") if value in ("latest", "best")}
+        if not named:
+            return
+        from skatemount.runs.find import find_checkpoint  # imports torch
+
+        root = self.path.parent.parent
+        self.pin({name: str(find_checkpoint(name, root, setting)) for name, setting in named.items()})
+
     def records(self) -> list[dict[str, Any]]:
         """Return the records of all jobs that ended, in the order of their numbers."""
         found = []
@@ -177,13 +194,16 @@ class Job:
             return None
         return record if identity(record["overrides"]) == identity(self.overrides) else None
 
-    def write_record(self, score: float | None, error: str | None = None, run: Path | None = None) -> None:
+    def write_record(
+        self, score: float | None, error: str | None = None, run: Path | None = None, pruned: bool = False
+    ) -> None:
         """Keep how the job ended.
 
         Args:
             score: Its result, a `Score` if it trained or evaluated a policy.
             error: One line about why it failed; None if it did not.
             run: Its run, if `score` does not know it.
+            pruned: A search has ended it early.
         """
         folder = run if run is not None else getattr(score, "folder", None)
         if folder is not None and Path(folder).parent == self.sweep.path:
@@ -192,7 +212,7 @@ class Job:
         record = {
             "format": FORMAT,
             "number": self.number,
-            "status": "finished" if error is None else "failed",
+            "status": "failed" if error is not None else "pruned" if pruned else "finished",
             "settings": self.settings,
             "success": None if counted is None else float(counted),
             "successes": None if counted is None else counted.successes,

@@ -29,8 +29,11 @@ from skatemount.utils.errors import ConfigError
 PROGRAM = "search"
 JOURNAL = "journal.log"
 
-_FREE = ("search.trials", "search.stale_after")
-"""Settings that may be another in the next start."""
+PLACE = ("logger.root", "logger.experiment", "logger.name")
+"""Settings that say where the folder is, which another machine may call differently."""
+
+_FREE = ("search.trials", "search.stale_after", *PLACE)
+"""Settings that may be others in the next start."""
 
 
 @dataclass

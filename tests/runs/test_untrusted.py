@@ -282,7 +282,7 @@ def test_a_start_clears_what_a_crash_left_under_its_lock(copied: RunFolder) -> N
 def test_only_temporaries_whose_process_has_ended_are_cleared(copied: RunFolder) -> None:
     root = copied.path.parent.parent
     ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
-    machine = atomic._machine()
+    machine = atomic.machine()
     dead, alive, foreign = (f"{machine}-{int(ended.stdout)}-00", f"{machine}-{os.getppid()}-00", "abcdef-1-00")
     inside = copied.path, copied.path / "checkpoints", next((copied.path / "checkpoints").iterdir())
     gone = [root / f".latest.{dead}.tmp", *(folder / f".x.{dead}.tmp" for folder in inside)]
@@ -301,8 +301,8 @@ def test_only_temporaries_whose_process_has_ended_are_cleared(copied: RunFolder)
 
 def test_a_file_that_is_written_again_clears_what_killed_processes_left(tmp_path: Path) -> None:
     ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
-    left = tmp_path / f".film.mp4.{atomic._machine()}-{int(ended.stdout)}-00.tmp"
-    other = tmp_path / f".film.mp4.{atomic._machine()}-{os.getppid()}-00.tmp"
+    left = tmp_path / f".film.mp4.{atomic.machine()}-{int(ended.stdout)}-00.tmp"
+    other = tmp_path / f".film.mp4.{atomic.machine()}-{os.getppid()}-00.tmp"
     left.touch()
     other.touch()
     atomic.write_text(tmp_path / "film.mp4", "film")
