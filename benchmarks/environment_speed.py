@@ -30,7 +30,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, ParallelEnv
 
 from skatemount.envs import MountEnv, MountTask
-from skatemount.utils.devices import available_cores
+from skatemount.utils.cores import available_cores
 
 WARM_UP = 100
 """Number of steps before timing, so that the worlds' episodes end at different times."""

@@ -32,7 +32,7 @@ from skatemount.envs import MountTask
 from skatemount.envs.mdp import Mdp
 from skatemount.losses.ppo import PPO
 from skatemount.training.setup import make_networks
-from skatemount.utils.devices import available_cores
+from skatemount.utils.cores import available_cores
 from skatemount.utils.memory import disable_malloc_trim
 
 ACTIONS = 12

@@ -25,7 +25,7 @@ from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import deterministic
 from skatemount.profiling.measure import in_fresh_process
-from skatemount.utils.devices import available_cores
+from skatemount.utils.cores import available_cores
 
 SETTLE, STEPS = 50, 12
 STAGE = mujoco.mjtStage.mjSTAGE_VEL.value

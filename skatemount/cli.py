@@ -13,7 +13,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from skatemount import multirun
+from skatemount import launchers, multirun
 from skatemount.config import config_dir, set_user_config_dir, stages, suites, user_config_dir
 from skatemount.config.compose import checked, composed_values, plain
 from skatemount.config.messages import is_of_library, reason
@@ -67,6 +67,7 @@ def run(verb: Callable[..., float | None], program: str) -> None:
             return
         sys.argv[1:], settings = _prepared(sys.argv[1:], program)
         check_own_files(settings)
+        launchers.check(settings, multirun.is_asked_for(sys.argv[1:]))
         if multirun.is_asked_for(sys.argv[1:]):
             if multirun.run(verb, program, settings):
                 sys.exit(1)

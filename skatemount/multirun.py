@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
 import shlex
 import signal
 import sys
+import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -19,21 +21,27 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from skatemount import config as configuration
+from skatemount import launchers
 from skatemount.config.compose import checked, composed_values, plain
 from skatemount.config.messages import is_of_library, reason
 from skatemount.config.overrides import hydra_text, read
 from skatemount.config.unused import check_used
 from skatemount.evaluation import sweep_report
 from skatemount.runs import atomic
+from skatemount.runs.locks import is_locked
 from skatemount.runs.sweep import RESULTS_FILE, Job, SweepFolder, analyze, key_of, open_sweep
+from skatemount.utils.cores import CORES
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.quiet import ignore_library_warnings
 from skatemount.utils.ranks import launch
-from skatemount.utils.signals import Ended
+from skatemount.utils.signals import Ended, ending_by_signals
 from skatemount.utils.terminal import safe_streams
 
 TRAIN = "train"
 """The program whose jobs resume, and have folders of their own."""
+
+SEARCH = "search"
+"""The program that has no multiruns."""
 
 FAILED_SCORE = 0.0
 """Score of a job that failed, for the sweeper: the least success rate."""
@@ -66,6 +74,8 @@ def run(verb: Callable[..., float | None], program: str, settings: Sequence[str]
     for each in settings:
         if key_of(each) in _OURS:
             raise ConfigError(f"{each}: the folder of a multirun is chosen by logger.root and logger.experiment")
+    if program == SEARCH:
+        raise ConfigError("-m: a search chooses the settings of its trials itself; leave -m out")
     parent, name = _place(program, settings)
     _check_ahead(program, settings)
     options = configuration.config_dir_options()
@@ -77,8 +87,14 @@ def run(verb: Callable[..., float | None], program: str, settings: Sequence[str]
             again = "; jobs that have finished are skipped, logger.experiment=<another> starts afresh"
             print(f"sweep: {sweep.path}{again if sweep.is_old else ''}", flush=True)
         application = hydra.main(str(configuration.config_dir().absolute()), program, version_base="1.3")
+        left = None if sweep.total is None else sweep.total - (_finished(sweep) if program == TRAIN else 0)
+        launcher = launchers.named(settings) or ""
+        submits = launcher.startswith("submitit")
+        if submits:
+            print(f"output of the jobs: {sweep.path / '.submitit'}", flush=True)
         try:
-            application(_Task(verb, sweep))()
+            with launchers.ending_submitted_jobs() if submits else contextlib.nullcontext():
+                application(_Task(verb, sweep, left))()
         except KeyboardInterrupt as error:
             end = error if isinstance(error, Ended) else Ended(signal.SIGINT)
             raise Ended(end.signum, f"the sweep is kept in {sweep.path}{_AGAIN}" if program == TRAIN else "") from None
@@ -165,11 +181,13 @@ class _Task:
     Attributes:
         verb: As for `run`.
         sweep: The sweep.
+        left: Number of jobs that are left to run; None if it is not known.
         process: The process that began the sweep.
     """
 
     verb: Callable[..., float | None]
     sweep: SweepFolder
+    left: int | None = None
     process: int = 0
 
     def __post_init__(self) -> None:
@@ -188,11 +206,18 @@ class _Task:
         if elsewhere:
             ignore_library_warnings()
             configuration.set_user_config_dir(self.sweep.config_dir)
-        with safe_streams(live=not elsewhere):
-            state = HydraConfig.get()
+        state = HydraConfig.get()
+        # A process that is used for several jobs must not share the cores again and again.
+        cores = launchers.cores_of_job(state.launcher, self.left) if elsewhere and CORES not in os.environ else None
+        if cores is not None:
+            os.environ[CORES] = str(cores)
+        ending = ending_by_signals() if elsewhere else contextlib.nullcontext()
+        with ending, safe_streams(live=not elsewhere):
             # Paths in settings are relative to the folder where the command started, also with hydra.job.chdir.
             os.chdir(state.runtime.cwd)
             job = self.sweep.job(int(state.job.num) + 1, list(state.overrides.task))
+            if elsewhere and self.sweep.program == TRAIN:
+                _wait_for_others(job)
             return self._run(composed, job)
 
     def _run(self, composed: DictConfig, job: Job) -> float | None:
@@ -218,11 +243,21 @@ class _Task:
             text = reason(error)
             # A full disk, or a run that another process trains, says nothing against the last checkpoint.
             can_go_on = isinstance(error, OSError) or resumes and isinstance(error, ConfigError)
+            # Such as a job whose time in the queue is over.
+            can_go_on = can_go_on or type(error).__module__.startswith("submitit.")
             job.write_record(None, text, None if can_go_on or program != TRAIN else job.cut_off_run())
             print(_failed(program, job.describe(), text), file=sys.stderr, flush=True)
             return FAILED_SCORE
         job.write_record(score)
         return None if score is None else float(score)
+
+
+def _wait_for_others(job: Job) -> None:
+    """Wait while another process trains the job, such as one that an earlier start has left behind."""
+    if (run := job.cut_off_run()) is not None and is_locked(run):
+        print(f"{job.describe()}: waits, because another process trains it", flush=True)
+        while is_locked(run):
+            time.sleep(1)
 
 
 def separate_files(config: Any, job: Job) -> None:
@@ -261,6 +296,11 @@ def _place(program: str, settings: Sequence[str]) -> tuple[Path, str]:
     if program == TRAIN:
         return Path(values["root"]) / values["experiment"], values["name"] or "sweep"
     return Path(values["root"]) / "multirun", program
+
+
+def _finished(sweep: SweepFolder) -> int:
+    """Return the number of jobs that an earlier start has finished."""
+    return sum(record["status"] == "finished" for record in sweep.records())
 
 
 def _finish(sweep: SweepFolder) -> bool:

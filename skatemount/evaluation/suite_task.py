@@ -27,7 +27,7 @@ from skatemount.envs.tasks import TASKS
 from skatemount.evaluation.evaluator import EVALUATION_SEED, NUM_WORLDS, Evaluator, mix_seeds
 from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.results import Evaluation
-from skatemount.utils.devices import available_cores
+from skatemount.utils.cores import available_cores
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_changes
 

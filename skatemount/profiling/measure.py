@@ -22,7 +22,8 @@ from skatemount.profiling.stopwatch import COLLECTING, LEARNING, profile_trainer
 from skatemount.profiling.workload import BenchWorkload
 from skatemount.runs.provenance import package_versions
 from skatemount.training.trainer import Trainer
-from skatemount.utils.devices import available_cores, choose_device
+from skatemount.utils.cores import available_cores
+from skatemount.utils.devices import choose_device
 from skatemount.utils.quiet import ignore_library_warnings
 
 FIGURES = ("raw", "env", "collect", "learn", "train")

@@ -22,7 +22,7 @@ from skatemount.evaluation.success_map import plot_success_map
 from skatemount.evaluation.suite_task import EvaluationTask, load_suite, members_of
 from skatemount.reports.suites import ITS_OWN, Result, parse
 from skatemount.runs.provenance import package_versions
-from skatemount.utils.devices import available_cores
+from skatemount.utils.cores import available_cores
 
 MAX_RATE = 30.0
 """Pictures a second of a film; of a faster control rate only every so many steps are shown."""

@@ -328,7 +328,7 @@ def identity(overrides: Sequence[str]) -> list[str]:
         key = key_of(override)
         if key.startswith(("hydra.", "hydra/")):
             return key.startswith(("hydra.sweeper", "hydra/sweeper"))
-        return key not in _MACHINE
+        return key not in (*_MACHINE, "launcher")
 
     return sorted(filter(counts, overrides))
 

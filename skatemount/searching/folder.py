@@ -202,16 +202,3 @@ class SignOfLife:
             return time.time()
         finally:
             probe.unlink(missing_ok=True)
-
-
-def is_locked(run: Path) -> bool:
-    """Return whether another process trains in a run, as far as the file system's locks tell."""
-    lock = FileLock(run / ".lock", blocking=False)
-    try:
-        lock.acquire()
-    except Timeout:
-        return True
-    except (NotImplementedError, OSError):
-        return False
-    lock.release()
-    return False

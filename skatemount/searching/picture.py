@@ -53,6 +53,8 @@ def draw(records: Sequence[Mapping[str, Any]], dimensions: Sequence[Dimension], 
 
 
 def _draw_history(axis: Axes, records: Sequence[Mapping[str, Any]]) -> None:
+    from matplotlib.ticker import MaxNLocator
+
     for status, color in (("finished", FINISHED), ("pruned", PRUNED)):
         those = [each for each in records if each["status"] == status and each["success"] is not None]
         if those:
@@ -68,11 +70,13 @@ def _draw_history(axis: Axes, records: Sequence[Mapping[str, Any]]) -> None:
     axis.step(numbers, highest, where="post", color=BEST, label="best so far")
     axis.set_title("success of each trial", fontsize=10)
     axis.set_xlabel("trial", fontsize=9)
-    axis.xaxis.get_major_locator().set_params(integer=True)
+    axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     axis.legend(fontsize=7, loc="best", framealpha=0.6)
 
 
 def _draw_slice(axis: Axes, records: Sequence[Mapping[str, Any]], dimension: Dimension) -> None:
+    from matplotlib.ticker import MaxNLocator
+
     places = {text: i for i, text in enumerate(dimension.choices)}
     for status, color in (("pruned", PRUNED), ("finished", FINISHED)):
         those = [each for each in records if each["status"] == status and each["success"] is not None]
@@ -83,7 +87,15 @@ def _draw_slice(axis: Axes, records: Sequence[Mapping[str, Any]], dimension: Dim
         axis.set_xticks(range(len(places)), [text if len(text) < 14 else f"{text[:12]} …" for text in places])
         axis.set_xlim(-0.5, len(places) - 0.5)
     else:
-        axis.set_xlim(dimension.low, dimension.high)
+        low, high = dimension.low, dimension.high
         if dimension.log:
             axis.set_xscale("log")
+            # Ticks of a range of less than a factor of ten would lie on each other.
+            ticks = [low, math.sqrt(low * high), high]
+            axis.set_xticks(ticks, [f"{tick:.2g}" for tick in ticks])
+            axis.minorticks_off()
+            axis.set_xlim(low * (low / high) ** 0.04, high * (high / low) ** 0.04)
+        else:
+            axis.xaxis.set_major_locator(MaxNLocator(5, integer=dimension.kind == "int"))
+            axis.set_xlim(low - 0.04 * (high - low), high + 0.04 * (high - low))
     axis.set_title(dimension.key, fontsize=10)

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skatemount.config.search import Dimension, SearchConfig
+from skatemount.runs.locks import is_locked
 from skatemount.runs.sweep import Score
-from skatemount.searching.folder import JOURNAL, PROGRAM, SearchFolder, SignOfLife, TrialJob, is_locked
+from skatemount.searching.folder import JOURNAL, PROGRAM, SearchFolder, SignOfLife, TrialJob
 from skatemount.searching.space import Value, overrides_of, suggest
 from skatemount.utils.errors import ConfigError
 

@@ -16,7 +16,7 @@ from skatemount.envs.mirror import mirror_map
 from skatemount.models import base as models
 from skatemount.models.base import Networks
 from skatemount.models.symmetry import Reflection
-from skatemount.utils.devices import available_cores
+from skatemount.utils.cores import available_cores
 from skatemount.utils.memory import disable_malloc_trim
 
 

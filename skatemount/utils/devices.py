@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import os
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -14,7 +13,6 @@ import torch
 from torch import Tensor
 
 from skatemount.utils.errors import ConfigError
-from skatemount.utils.ranks import launch
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -45,15 +43,6 @@ def seconds(device: torch.device) -> float:
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return time.perf_counter()
-
-
-def available_cores() -> int:
-    """Return the number of cores that this process may use.
-
-    Those are the cores that it may run on, or its share of them if ``torchrun`` has started several ranks here.
-    """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, cores // max(1, launch().local_size or 1))
 
 
 @contextlib.contextmanager

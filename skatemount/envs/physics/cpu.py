@@ -14,7 +14,7 @@ from skatemount.envs.physics.base import StartState, VisualModels, posed_data
 from skatemount.envs.physics.board_start import BoardStart
 from skatemount.envs.scene import Scene, SceneIndex
 from skatemount.envs.state import SimState, StateReader
-from skatemount.utils.devices import available_cores
+from skatemount.utils.cores import available_cores
 
 _POSITION_AND_VELOCITY = mujoco.mjtStage.mjSTAGE_VEL.value
 _EVERYTHING = mujoco.mjtStage.mjSTAGE_ACC.value
