@@ -16,6 +16,7 @@ PROGRAMS = {
     "report": ("run=latest output=report.html", "a page about a run, two runs, a sweep or the paper"),
     "export": ("checkpoint=pretrained:balance", "write it as ONNX, for a robot"),
     "bench": ("stage=balance", "how fast training is here"),
+    "search": ("stage=balance search=ppo", "search good settings of a training"),
     "runner": ("exported/balance suite=balance-fixed", "use what export wrote, without torch"),
     "list": ("stages", "stages, suites, boards, policies, terms, ..."),
     "replay-diverged": ("runs/.../0001_world_7.npz", "why the physics of a world failed"),
@@ -29,7 +30,7 @@ def help_text() -> str:
     lines = ["skatemount is used through its programs:"]
     for name, (example, about) in PROGRAMS.items():
         lines.append(f"  {f'skatemount {name} {example}':52}{about}")
-    lines.append("python -m skatemount <program> is the same. Those up to bench are modules too, such as python -m")
+    lines.append("python -m skatemount <program> is the same. Those up to search are modules too, such as python -m")
     lines.append("skatemount.train; their option --cfg job prints all settings.")
     return "\n".join(lines)
 

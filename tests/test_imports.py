@@ -11,6 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = [
+    {"search"},
     {
         "train",
         "evaluate",
@@ -26,7 +27,8 @@ LAYERS = [
         "adapters",
     },
     {"cli"},
-    {"multirun"},
+    {"multirun", "searching"},
+    {"launchers"},
     {"profiling"},
     {"reports"},
     {"training"},

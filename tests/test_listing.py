@@ -157,7 +157,7 @@ def test_the_command_says_what_programs_there_are(
     monkeypatch.setattr(sys, "argv", ["skatemount"])
     command.main()
     out = capsys.readouterr().out
-    programs = ("train", "evaluate", "record", "play", "report", "export", "bench", "runner", "list")
+    programs = ("train", "evaluate", "record", "play", "report", "export", "bench", "search", "runner", "list")
     assert all(f"\n  skatemount {name} " in out for name in programs)
     monkeypatch.setattr(sys, "argv", ["skatemount", "trian"])
     with pytest.raises(SystemExit) as ended:
@@ -165,7 +165,7 @@ def test_the_command_says_what_programs_there_are(
     assert ended.value.code == 2
     assert capsys.readouterr().err == (
         "skatemount: there is no program trian; there are: train, evaluate, record, play, report, export, bench, "
-        "runner, list, replay-diverged, robot-spec\n"
+        "search, runner, list, replay-diverged, robot-spec\n"
     )
 
 

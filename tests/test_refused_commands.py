@@ -19,6 +19,7 @@ from skatemount.play import play
 from skatemount.record import record
 from skatemount.report import report
 from skatemount.runs.shipped import shipped_file
+from skatemount.search import search
 from skatemount.train import train
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
@@ -30,6 +31,7 @@ VERBS: dict[str, Callable[..., Any]] = {
     "play": play,
     "report": report,
     "bench": bench,
+    "search": search,
 }
 
 
@@ -81,6 +83,12 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run of a page": ("report run=nowhere", "run=nowhere: not found"),
     "sweep": ("report sweep=nowhere", "sweep=nowhere: must be the folder of a multirun"),
     "bench": ("bench +stage=balance bench.rounds=0", "bench.rounds=0 must be from 1"),
+    "empty search": ("search +stage=balance", "search.space={} must have a range: search.space.<setting>="),
+    "range of a search": (
+        "search +stage=balance search.space.algorithm.target_kl=log(0,1)",
+        "search.space.algorithm.target_kl=log(0,1): 0 must be above 0, because the scale is logarithmic",
+    ),
+    "launcher without -m": ("train +stage=balance launcher=joblib", "launcher=joblib: only a multirun has a launcher"),
     "unknown key": ("train +stage=balance +nope=1", "nope"),
     "unknown group": ("train +stage=nope", "there is no stage nope"),
     "other program": ("evaluate +network.actor=[1]", "network.actor"),

@@ -163,7 +163,7 @@ def test_an_old_name_works_with_a_hint(command: Callable[..., Any]) -> None:
     assert status == 0 and err == "note: collector.steps is called collector.steps_per_env now\n"
 
 
-@pytest.mark.parametrize("program", ["train", "evaluate", "record", "play", "report", "bench"])
+@pytest.mark.parametrize("program", ["train", "evaluate", "record", "play", "report", "bench", "search"])
 def test_help_fits_a_screen_and_names_what_there_is(program: str) -> None:
     lines = cli.help_text(program).splitlines()
     assert len(lines) <= 30 and max(map(len, lines)) <= 110

@@ -29,6 +29,9 @@ from skatemount.utils.formatting import format_count
 
 SEED = "seed"
 
+SEARCH = "search"
+"""The program that begins a search, a sweep without ``-m``."""
+
 MACHINE = ("torch_threads", "physics.threads", "plugins")
 """Settings that do not change what is trained."""
 
@@ -211,7 +214,7 @@ def _read_sweep(path: Path) -> Group:
     if not members:
         raise ConfigError(f"sweep={path}: none of its jobs has begun")
     return Group(
-        path.resolve().name, members, path, shlex.join(["python", "-m", f"skatemount.{program}", "-m", *words])
+        path.resolve().name, members, path, shlex.join(["python", "-m", f"skatemount.{program}", *([] if program == SEARCH else ["-m"]), *words])
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from skatemount.utils.cores import CORES, available_cores
 from skatemount.utils.devices import choose_device, rng_state, seconds, set_rng_state, torch_threads
 from skatemount.utils.errors import ConfigError
 
@@ -59,3 +60,18 @@ def test_a_restored_random_state_repeats_its_numbers() -> None:
     assert not torch.equal(torch.rand(3), first)
     set_rng_state(state, CPU)
     assert torch.equal(torch.rand(3), first)
+
+
+def test_a_process_uses_its_share_of_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in (CORES, "LOCAL_WORLD_SIZE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("os.sched_getaffinity", lambda process: set(range(8)), raising=False)
+    assert available_cores() == 8
+    monkeypatch.setenv(CORES, "6")
+    assert available_cores() == 6
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", "2")
+    assert available_cores() == 3
+    monkeypatch.setenv(CORES, "100")
+    assert available_cores() == 4
+    monkeypatch.setenv(CORES, "0")
+    assert available_cores() == 1
