@@ -213,9 +213,9 @@ def _read_sweep(path: Path) -> Group:
         _note_differences(members)
     if not members:
         raise ConfigError(f"sweep={path}: none of its jobs has begun")
-    return Group(
-        path.resolve().name, members, path, shlex.join(["python", "-m", f"skatemount.{program}", *([] if program == SEARCH else ["-m"]), *words])
-    )
+    options = [] if program == SEARCH else ["-m"]
+    command = shlex.join(["python", "-m", f"skatemount.{program}", *options, *words])
+    return Group(path.resolve().name, members, path, command)
 
 
 def _note_differences(members: Sequence[Member]) -> None:
