@@ -44,7 +44,6 @@ TESTED_IN = {
     "envs/tasks/mount.py": "envs/test_success.py",
     "envs/state.py": "envs/physics/test_cpu.py",
     "evaluation/report.py": "evaluation/test_results.py",
-    "launchers.py": "test_multirun.py",
     "losses/base.py": "examples/test_own_learning.py",
     "losses/config.py": "losses/test_ppo.py",
     "losses/imitation.py": "agents/test_teacher.py",
