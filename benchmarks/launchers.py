@@ -3,10 +3,10 @@
     python benchmarks/launchers.py
     python benchmarks/launchers.py --seeds 4 --launchers joblib submitit_local --rounds 3
 
-Each multirun trains the same jobs, seeds of one stage, in a new folder. One after the other, a job has every core; with
-a launcher it has its share of them (`torch_threads=0 physics.threads=0`). The ways take turns, in every round. A time is
-the whole command's, its start included, and what is printed is the median over the rounds and its ratio to one after the
-other: below 1 the launcher is faster. Nothing else should run on the machine.
+Each multirun trains the same jobs, seeds of one stage, in a new folder. One after the other, a job has every core;
+with a launcher it has its share of them (`torch_threads=0 physics.threads=0`). The ways take turns, in every round. A
+time is the whole command's, its start included. Printed are the medians over the rounds, and their ratio to one after
+the other: below 1 the launcher is faster. Nothing else should run on the machine.
 """
 
 from __future__ import annotations
