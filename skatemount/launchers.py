@@ -103,7 +103,8 @@ def ending_submitted_jobs() -> Iterator[None]:
                 signal.signal(signal.SIGINT, before)
         return jobs
 
-    submitit.AutoExecutor.map_array = watched
+    executor_class: Any = submitit.AutoExecutor
+    executor_class.map_array = watched
     try:
         yield
     except KeyboardInterrupt:
@@ -120,7 +121,7 @@ def ending_submitted_jobs() -> Iterator[None]:
             f"a job has ended without a result; its output is in {folder}; start the same command again to go on"
         ) from error
     finally:
-        submitit.AutoExecutor.map_array = start
+        executor_class.map_array = start
 
 
 def _end(job: Any) -> None:

@@ -68,7 +68,6 @@ TESTED_IN = {
     "runs/provenance.py": "runs/test_folder.py",
     "runs/serialization.py": "runs/test_checkpoint.py",
     "runs/shipped.py": "config/test_versions.py",
-    "search.py": "test_search.py",
     "searching/best.py": "searching/test_results.py",
     "searching/picture.py": "searching/test_results.py",
     "searching/worker.py": "test_search.py",

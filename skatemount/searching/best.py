@@ -70,7 +70,8 @@ def as_experiment(overrides: Sequence[str], pinned: Mapping[str, str]) -> dict[s
             *above, last = key.split(".")
             for name in above:
                 place = place.setdefault(name, {})
-            place[last] = pinned.get(value, value) if key in ("init_from", "algorithm.teacher") else value
+            names_policy = key in ("init_from", "algorithm.teacher") and isinstance(value, str)
+            place[last] = pinned.get(str(value), value) if names_policy else value
     return {"defaults": [*defaults, "_self_"], **values}
 
 

@@ -39,20 +39,27 @@ def draw(records: Sequence[Mapping[str, Any]], dimensions: Sequence[Dimension], 
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=12, parse_math=False)
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
-    _draw_history(axes[0], records)
+    bottom = _bottom(records)
+    _draw_history(axes[0], records, bottom)
     for axis, dimension in zip(axes[1:], shown):
         _draw_slice(axis, records, dimension)
     for axis in axes[1 + len(shown) :]:
         axis.set_visible(False)
     for axis in axes:
-        axis.set_ylim(-0.04, 1.04)
+        axis.set_ylim(bottom, 1.04 - 0.04 * max(bottom, 0))
         axis.grid(alpha=0.25)
         axis.tick_params(labelsize=8)
     with atomic.replacing(path) as temporary:
         figure.savefig(temporary, format="png")
 
 
-def _draw_history(axis: Axes, records: Sequence[Mapping[str, Any]]) -> None:
+def _bottom(records: Sequence[Mapping[str, Any]]) -> float:
+    """Return the lower end of the axis of success: the whole range unless every trial is near 1."""
+    least = min((each["success"] for each in records if each["success"] is not None), default=0.0)
+    return -0.04 if least < 0.5 else least - 0.15 * (1.001 - least)
+
+
+def _draw_history(axis: Axes, records: Sequence[Mapping[str, Any]], bottom: float) -> None:
     from matplotlib.ticker import MaxNLocator
 
     for status, color in (("finished", FINISHED), ("pruned", PRUNED)):
@@ -61,8 +68,9 @@ def _draw_history(axis: Axes, records: Sequence[Mapping[str, Any]]) -> None:
             axis.scatter([r["number"] for r in those], [r["success"] for r in those], s=18, color=color, label=status)
     failed = [each["number"] for each in records if each["status"] == "failed"]
     if failed:
-        axis.scatter(failed, [0.0] * len(failed), s=24, color=FAILED, marker="x", label="failed")
-    numbers, highest = [], []
+        axis.scatter(failed, [max(bottom, 0.0)] * len(failed), s=24, color=FAILED, marker="x", label="failed")
+    numbers: list[int] = []
+    highest: list[float] = []
     for each in records:
         if each["status"] == "finished":
             numbers.append(each["number"])

@@ -44,7 +44,9 @@ def records_of(study: SharedStudy) -> list[Record]:
         if trial.intermediate_values and status != "finished":
             success = trial.intermediate_values[max(trial.intermediate_values)]
         successes, episodes = notes.get("successes"), notes.get("episodes")
-        low, high = wilson_interval(successes, episodes) if status == "finished" and episodes else (None, None)
+        low, high = (
+            wilson_interval(int(successes or 0), int(episodes)) if status == "finished" and episodes else (None, None)
+        )
         found.append(
             {
                 "number": trial.number + 1,
