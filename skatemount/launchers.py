@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import os
 import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from skatemount.runs.sweep import key_of
-from skatemount.utils.cores import available_cores
+from skatemount.utils.cores import CORES, available_cores
 from skatemount.utils.errors import ConfigError
 
 GROUP = "launcher"
@@ -74,6 +75,29 @@ def cores_of_job(launcher: Mapping[str, Any], jobs: int | None) -> int | None:
     else:
         return None
     return max(1, cores // max(1, min(together, jobs or together)))
+
+
+_before: str | None = None
+"""The variable `CORES` when the process began, "" without one; None until cores are shared."""
+
+
+def share_cores(launcher: Mapping[str, Any], jobs: int | None) -> None:
+    """Let this process, which runs jobs of a multirun, use its share of the cores.
+
+    Args:
+        launcher: As for `cores_of_job`.
+        jobs: As for `cores_of_job`.
+    """
+    global _before
+    if _before is None:
+        _before = os.environ.get(CORES, "")
+    # A process may run several jobs, whose share is the same.
+    os.environ.pop(CORES, None)
+    if _before:
+        os.environ[CORES] = _before
+    cores = cores_of_job(launcher, jobs)
+    if cores is not None:
+        os.environ[CORES] = str(cores)
 
 
 @contextlib.contextmanager

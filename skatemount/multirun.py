@@ -30,7 +30,6 @@ from skatemount.evaluation import sweep_report
 from skatemount.runs import atomic
 from skatemount.runs.locks import is_locked
 from skatemount.runs.sweep import RESULTS_FILE, Job, SweepFolder, analyze, key_of, open_sweep
-from skatemount.utils.cores import CORES
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.quiet import ignore_library_warnings
 from skatemount.utils.ranks import launch
@@ -207,10 +206,8 @@ class _Task:
             ignore_library_warnings()
             configuration.set_user_config_dir(self.sweep.config_dir)
         state = HydraConfig.get()
-        # A process that is used for several jobs must not share the cores again and again.
-        cores = launchers.cores_of_job(state.launcher, self.left) if elsewhere and CORES not in os.environ else None
-        if cores is not None:
-            os.environ[CORES] = str(cores)
+        if elsewhere:
+            launchers.share_cores(state.launcher, self.left)
         ending = ending_by_signals() if elsewhere else contextlib.nullcontext()
         with ending, safe_streams(live=not elsewhere):
             # Paths in settings are relative to the folder where the command started, also with hydra.job.chdir.

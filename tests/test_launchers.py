@@ -21,6 +21,7 @@ from skatemount.config import config_dir
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.locks import is_locked
 from skatemount.runs.sweep import Job, Score, SweepFolder
+from skatemount.utils import cores
 from skatemount.utils.cores import CORES
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
@@ -66,7 +67,7 @@ def test_jobs_that_run_together_share_the_cores(
         return Score.of(int(os.environ.get("SKATEMOUNT_CORES", "0")), 10)
 
     arguments = ["-m", "stage=balance", "seed=1,2"]
-    status, out, err = command(share, *arguments, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    status, out, err = command(share, *arguments, "launcher=joblib", "hydra.launcher.n_jobs=2")
     assert status == 0, out + err
     (sweep,) = sweeps(runs_root)
     records = [json.loads(file.read_text()) for file in sorted((sweep / "jobs").iterdir())]
@@ -96,6 +97,18 @@ def test_a_job_has_its_share_of_eight_cores(
 ) -> None:
     monkeypatch.setattr(launchers, "available_cores", lambda: 8)
     assert launchers.cores_of_job(launcher, jobs) == expected
+
+
+def test_jobs_of_one_process_have_the_same_share(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(launchers, "_before", None)
+    monkeypatch.setattr(cores.os, "sched_getaffinity", lambda process: set(range(16)), raising=False)
+    monkeypatch.delenv("LOCAL_WORLD_SIZE", raising=False)
+    for given, share in ((None, "8"), ("6", "3")):
+        monkeypatch.setattr(launchers, "_before", None)
+        monkeypatch.delenv(CORES, raising=False) if given is None else monkeypatch.setenv(CORES, given)
+        for _ in range(3):
+            launchers.share_cores({"_target_": "a.JoblibLauncher", "n_jobs": 2}, 5)
+            assert os.environ[CORES] == share
 
 
 @pytest.mark.parametrize("launcher", ["joblib", "submitit_local", "submitit_slurm"])

@@ -32,6 +32,9 @@ JOURNAL = "journal.log"
 PLACE = ("logger.root", "logger.experiment", "logger.name")
 """Settings that say where the folder is, which another machine may call differently."""
 
+LONGEST = 600.0
+"""Time that a process waits for the others to claim a trial or to write results, s."""
+
 _FREE = ("search.trials", "search.stale_after", *PLACE)
 """Settings that may be others in the next start."""
 
@@ -67,11 +70,11 @@ class SearchFolder(SweepFolder):
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
         """Keep the other processes from claiming a trial, or writing results, in a short ``with`` block."""
-        lock = FileLock(self.path / ".claims.lock", timeout=60)
+        lock = FileLock(self.path / ".claims.lock", timeout=LONGEST)
         try:
             lock.acquire()
         except Timeout:
-            raise OSError(None, "another process has held this lock for a minute", lock.lock_file) from None
+            raise OSError(None, f"another process has held this lock for {LONGEST:.0f} s", lock.lock_file) from None
         except (NotImplementedError, OSError) as error:
             print(f"warning: {self.path} cannot be locked ({error}); start one search in it at a time", file=sys.stderr)
         try:

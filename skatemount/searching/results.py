@@ -72,7 +72,6 @@ def write(folder: SearchFolder, study: SharedStudy) -> list[Record]:
         folder: Folder of the search.
         study: Its study.
     """
-    drawing = Decoration("the picture of the search")
     with folder.alone():
         records = records_of(study)
         top = best(records)
@@ -87,8 +86,10 @@ def write(folder: SearchFolder, study: SharedStudy) -> list[Record]:
         atomic.write_text(folder.path / CSV_FILE, _csv(records, [each.key for each in study.dimensions]))
         if top is not None:
             write_best(folder, study, top)
-            with drawing:
-                draw(records, study.dimensions, folder.path / PICTURE_FILE, folder.path.name)
+    if top is not None:
+        # The others need not wait for the picture.
+        with Decoration("the picture of the search"):
+            draw(records, study.dimensions, folder.path / PICTURE_FILE, folder.path.name)
     return records
 
 

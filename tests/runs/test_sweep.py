@@ -73,7 +73,16 @@ def test_number_of_jobs(overrides: list[str], fixed: set[str], total: int | None
 
 
 def test_commands_that_train_the_same_are_the_same() -> None:
-    same = identity(["seed=0,1", *COMMAND[:2], "torch_threads=1", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2"])
+    same = identity(
+        [
+            "seed=0,1",
+            *COMMAND[:2],
+            "launcher=joblib",
+            "torch_threads=1",
+            "hydra/launcher=joblib",
+            "hydra.launcher.n_jobs=2",
+        ]
+    )
     assert same == identity(COMMAND)
     assert identity([*COMMAND, "total_frames=9"]) != identity(COMMAND)
     assert identity([*COMMAND, "hydra.sweeper.params.seed=3"]) != identity(COMMAND)
