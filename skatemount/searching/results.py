@@ -134,7 +134,7 @@ def report(folder: SearchFolder, records: Sequence[Mapping[str, Any]], overrides
     lines += [f"trial {each['number']} failed: {each['error']}" for each in records if each["status"] == "failed"]
     running = sum(each["status"] == "running" for each in records)
     if running:
-        lines.append(f"{running} trials are running in other processes, which write the results when they end")
+        lines.append(f"trials that other processes still train: {running}; they write the results when they end")
     top = best(records)
     lines.append(f"written to {folder.path / RESULTS_FILE}, {CSV_FILE}{f', {PICTURE_FILE}' if top else ''}")
     if top is None:

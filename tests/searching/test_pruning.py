@@ -58,7 +58,7 @@ def reported(study: SharedStudy, number: int) -> dict[int, float]:
 def test_a_hopeless_trial_is_pruned_and_a_good_one_is_not(make_study: Callable[..., SharedStudy]) -> None:
     study = make_study(prune_startup=2, prune_after=0.5)
     assert [train(study, values)[2] for values in ([0.1, 0.5, 0.6, 0.8], [0.2, 0.4, 0.5, 0.7])] == [4, 4]
-    # At the half it is below the median of the best values so far, 0.45.
+    # At the half it is below the median of the others there, 0.45.
     _, callback, done = train(study, [0.0, 0.3, 0.4, 0.9])
     assert callback.pruned and done == 2
     assert [train(study, [0.0, 0.46, 0.9, 0.9])[2]] == [4]

@@ -59,7 +59,7 @@ def test_the_table_and_its_files_have_every_trial(make_study: Callable[..., Shar
     assert head.split() == ["trial", "epochs", "target_kl", "success", "95", "%", "interval", "steps", "status"]
     assert lines[3].split()[0] == "3" and " 50.0% " in lines[3] and lines[3].endswith("finished")
     assert "trial 4 failed: loss is nan" in lines
-    assert "1 trials are running in other processes, which write the results when they end" in lines
+    assert "trials that other processes still train: 1; they write the results when they end" in lines
     assert f"best: trial 3, python -m skatemount.evaluate checkpoint={folder}/trial_003" in lines
     # The jobs' records are those that a report of the sweep reads.
     config = compose_program("report", [f"sweep={folder}"])
