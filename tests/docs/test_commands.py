@@ -115,7 +115,8 @@ def tiny(words: list[str], program: str) -> list[str]:
         more += ["total_frames=160", "logger.evaluate_every=99", "logger.evaluate_episodes=4"]
     kept = [word for word in words if word.startswith(KEPT)]
     replaced = {word.split("=")[0] for word in more} - {word.split("=")[0] for word in kept}
-    short = [re.sub(r"(=[^,\[]+,[^,]+),.*", r"\1", word) for word in words if not word.startswith(("hydra", "launcher"))]
+    short = [re.sub(r"(=[^,\[]+,[^,]+),.*", r"\1", word) for word in words]
+    short = [word for word in short if not word.startswith(("hydra", "launcher="))]
     return [word for word in short if word.split("=")[0] not in replaced] + [
         word for word in more if word.split("=")[0] in replaced
     ]
