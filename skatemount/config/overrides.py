@@ -230,9 +230,10 @@ def _prepared(override: Override, written: str, program: str) -> str:
     if override.value is None:
         return override.written
     value = override.value
-    if key.startswith(_RANGES) and key != "search.space" and not _QUOTED.fullmatch(value):
+    if key.startswith(_RANGES):
+        _check_searched(key.removeprefix(_RANGES), written)
         # Hydra would take log(1,2) for a function of its own.
-        return f"++{key}={hydra_text(value)}"
+        return f"++{key}={value if _QUOTED.fullmatch(value) else hydra_text(value)}"
     if _is_whole(keys(schema).get(key)):
         value = ",".join(map(_whole, value.split(",")))
     prefix = override.prefix
@@ -240,6 +241,13 @@ def _prepared(override: Override, written: str, program: str) -> str:
     if not prefix and (is_table or table_of(schema, key) is not None):
         prefix = "++"
     return f"{prefix}{key}={value}"
+
+
+def _check_searched(key: str, written: str) -> None:
+    """Raise `ConfigError` unless a training has the setting or group that a search varies."""
+    # Here, and not with the other checks of a space, which need seconds of imports.
+    if key not in groups("train") and not is_known(PROGRAMS["train"], key) and key.partition(".")[0] != "search":
+        raise ConfigError(unknown("train", key, written))
 
 
 def _check_choices(override: Override, written: str) -> None:

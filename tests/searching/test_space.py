@@ -93,6 +93,15 @@ def test_a_command_line_gives_ranges_as_they_are_typed() -> None:
     assert of_training(["stage=balance", *prepare(written, "search"), "search=ppo"]) == ["stage=balance"]
 
 
+def test_a_wrong_name_is_refused_before_anything_is_composed() -> None:
+    with pytest.raises(ConfigError) as error:
+        prepare(["search.space.algorithm.lr=log(1e-4,1e-2)"], "search")
+    assert str(error.value) == (
+        "search.space.algorithm.lr=log(1e-4,1e-2): there is no setting algorithm.lr; did you mean "
+        "algorithm.learning_rate?"
+    )
+
+
 @pytest.mark.parametrize(
     ("space", "overrides", "said"),
     [
