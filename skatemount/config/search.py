@@ -85,7 +85,9 @@ class SearchConfig:
         for name, known in (("sampler", SAMPLERS), ("pruner", PRUNERS)):
             if (value := getattr(self, name)) not in known:
                 raise ConfigError(f"{where}.{name}={value} must be {' or '.join(known)}")
-        self.dimensions()
+        if self.space:
+            # Without one, only a search is refused: the settings can be composed and printed.
+            self.dimensions()
 
     def dimensions(self) -> list[Dimension]:
         """Return the settings that are searched, sorted by their keys.

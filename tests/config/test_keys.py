@@ -23,6 +23,7 @@ from skatemount.config.files import LAYERS
 from skatemount.config.keys import keys
 from skatemount.config.overrides import check_option, prepare
 from skatemount.config.programs import PROGRAMS
+from skatemount.config.search import SearchConfig
 from skatemount.config.versions import RENAMED
 from skatemount.envs.task import MountTask
 from skatemount.utils.errors import ConfigError
@@ -114,7 +115,7 @@ def test_old_names_of_settings_still_work() -> None:
 
 def test_every_setting_has_exactly_one_default() -> None:
     """YAML has a value for each, and no dataclass has one."""
-    for schema in (TrainConfig, EvaluateConfig, RecordConfig, BenchProgramConfig, *PARTS):
+    for schema in (TrainConfig, EvaluateConfig, RecordConfig, BenchProgramConfig, SearchConfig, *PARTS):
         assert all(f.default is f.default_factory is dataclasses.MISSING for f in dataclasses.fields(schema)), schema
     for program in PROGRAMS:
         compose_program(program, [])  # nothing is missing

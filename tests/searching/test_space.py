@@ -70,7 +70,6 @@ def test_wrong_ranges_are_one_line(written: Any, said: str) -> None:
         ({"sampler": "grid"}, "search.sampler=grid must be tpe or random"),
         ({"pruner": "hyperband"}, "search.pruner=hyperband must be median or none"),
         ({"prune_after": 2.0}, "search.prune_after=2.0 must be from 0 to 1"),
-        ({"space": {}}, "search.space={} must have a range"),
         ({"space": {"a.b": "int(1,2)", "a": {"b": "int(1,2)"}}}, "search.space.a.b=int(1,2): the range is given twice"),
     ],
 )
@@ -78,6 +77,12 @@ def test_wrong_settings_of_a_search_are_one_line(changed: dict[str, Any], said: 
     with pytest.raises(ConfigError) as error:
         settings(**({"space": {"a": "int(1,2)"}} | changed)).validate()
     assert str(error.value).startswith(said)
+
+
+def test_a_search_needs_a_range() -> None:
+    settings({}).validate()
+    with pytest.raises(ConfigError, match=r"^search.space=\{\} must have a range: search.space.<setting>="):
+        settings({}).dimensions()
 
 
 def test_a_command_line_gives_ranges_as_they_are_typed() -> None:
