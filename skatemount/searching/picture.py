@@ -100,7 +100,7 @@ def _draw_slice(axis: Axes, records: Sequence[Mapping[str, Any]], dimension: Dim
             axis.set_xscale("log")
             # Ticks of a range of less than a factor of ten would lie on each other.
             ticks = [low, math.sqrt(low * high), high]
-            axis.set_xticks(ticks, [f"{tick:.2g}" for tick in ticks])
+            axis.set_xticks(ticks, [f"{tick:.3g}" for tick in ticks])
             axis.minorticks_off()
             axis.set_xlim(low * (low / high) ** 0.04, high * (high / low) ** 0.04)
         else:
