@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import socket
 import subprocess
 import sys
@@ -36,12 +37,16 @@ AUTO = [*LIVELY, "stage=unfixed", "curriculum=auto", "init_from=null", "seed=4"]
 STUCK = "curriculum.stuck_start_fraction=0.5"
 
 
-def torchrun(*arguments: str, ranks: int = 2, status: int = 0) -> subprocess.CompletedProcess[str]:
-    """Run a command in as many processes, and check its exit status."""
+def free_port() -> int:
+    """Return a port that nobody listens on."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    options = [f"--nproc-per-node={ranks}", f"--master-port={port}"]
+        return int(probe.getsockname()[1])
+
+
+def torchrun(*arguments: str, ranks: int = 2, status: int = 0) -> subprocess.CompletedProcess[str]:
+    """Run a command in as many processes, and check its exit status."""
+    options = [f"--nproc-per-node={ranks}", f"--master-port={free_port()}"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])}
     command = [sys.executable, "-W", "ignore", "-m", "torch.distributed.run", *options, *arguments]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=3600)
@@ -247,6 +252,30 @@ def test_ranks_with_other_settings_are_refused(tmp_path: Path) -> None:
     done = torchrun("--no-python", "bash", "-c", f"{sys.executable} -m skatemount.train {given}", status=1)
     assert "skatemount.train: seed=1 on rank 1, but 0 on rank 0; start all ranks with the same" in done.stderr
     assert done.stderr.count("skatemount.train: ") == 1 and not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_the_commands_of_two_machines_in_the_docs(tmp_path: Path, repo_root: Path) -> None:
+    """The two commands as they stand there, but for the address, the port, and a smaller training."""
+    page = (repo_root / "docs" / "scale.md").read_text(encoding="utf-8")
+    section = page[page.index("## Two laptops") : page.index("## One machine")]
+    found = [each.replace("\\\n", " ") for each in re.findall(r"\$ (torchrun(?:.*\\\n)*.*)", section)]
+    assert [command.count(f"--node-rank={rank}") for rank, command in enumerate(found)] == [1, 1]
+    port = free_port()
+    smaller = [*QUIET, f"total_frames={2 * BOTH}", f"logger.root={tmp_path}"]
+    given = {each.partition("=")[0] for each in smaller}
+    nodes = []
+    for command in found:
+        words = shlex.split(command.replace("192.168.1.10", "127.0.0.2").replace("29500", str(port)))
+        assert words.pop(0) == "torchrun" and "--master-addr=127.0.0.2" in words
+        words = [word for word in words if word.partition("=")[0] not in given]
+        launcher = [sys.executable, "-W", "ignore", "-m", "torch.distributed.run"]
+        nodes.append(subprocess.Popen([*launcher, *words, *smaller], stderr=subprocess.PIPE, text=True, cwd=tmp_path))
+    for node in nodes:
+        _, errors = node.communicate(timeout=3600)
+        assert node.returncode == 0, errors[-4000:]
+    run = the_run(tmp_path)
+    assert state_of(run)["progress"]["ranks"] == 2 and rows(run)[-1][STEP] == 2 * BOTH
 
 
 @pytest.mark.slow
