@@ -73,5 +73,10 @@ def test_a_process_uses_its_share_of_the_cores(monkeypatch: pytest.MonkeyPatch) 
     assert available_cores() == 3
     monkeypatch.setenv(CORES, "100")
     assert available_cores() == 4
-    monkeypatch.setenv(CORES, "0")
-    assert available_cores() == 1
+
+
+@pytest.mark.parametrize("wrong", ["0", "-1", "two", "1.5"])
+def test_a_wrong_number_of_cores_is_one_line(wrong: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(CORES, wrong)
+    with pytest.raises(ConfigError, match=f"^SKATEMOUNT_CORES={wrong} in the environment must be a whole number"):
+        available_cores()

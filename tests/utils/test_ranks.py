@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from skatemount.utils.devices import available_cores
+from skatemount.utils.cores import available_cores
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.ranks import launch
 
