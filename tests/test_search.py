@@ -160,7 +160,8 @@ def test_torchrun_and_a_missing_package_are_one_line(
     command: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patched:
-        patched.setenv("WORLD_SIZE", "2")
+        for name, value in {"RANK": "0", "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1"}.items():
+            patched.setenv(name, value)
         status, _, err = command(*ARGUMENTS)
     assert status == 2 and "cannot be started by torchrun" in err and err.count("\n") == 1
     monkeypatch.setattr(study_module.importlib.util, "find_spec", lambda name: None)

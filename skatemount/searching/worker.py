@@ -21,6 +21,7 @@ from skatemount.searching.study import Claimed, SharedStudy, check_installed
 from skatemount.training.callbacks import Callback
 from skatemount.training.chain import check_stages
 from skatemount.utils.errors import ConfigError
+from skatemount.utils.ranks import launch
 from skatemount.utils.signals import Ended
 
 Train = Callable[..., Score | None]
@@ -72,7 +73,7 @@ def search(config: SearchProgramConfig, overrides: Sequence[str], train: Train) 
 
 def _check(config: SearchProgramConfig, overrides: Sequence[str]) -> None:
     """Raise `ConfigError` for settings of a training that a search cannot have."""
-    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+    if launch().is_rank:
         raise ConfigError("skatemount.search cannot be started by torchrun; start the same command once more instead")
     logger, chain = config.logger, config.curriculum.kind == "stages"
     if config.resume is not None:
