@@ -55,6 +55,15 @@ def runs_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
+def fresh_workers() -> None:
+    """No worker processes of joblib; those of an earlier test would have its working directory."""
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    from joblib.externals.loky import get_reusable_executor
+
+    get_reusable_executor().shutdown(wait=True)
+
+
+@pytest.fixture
 def torch_as_it_was() -> Iterator[None]:
     """Training sets torch's threads and precision for the whole process."""
     precision, threads = torch.get_float32_matmul_precision(), torch.get_num_threads()

@@ -54,13 +54,8 @@ def sweeps(runs_root: Path) -> list[Path]:
 
 
 def test_jobs_that_run_together_share_the_cores(
-    command: Callable[..., Any], runs_root: Path, monkeypatch: pytest.MonkeyPatch
+    command: Callable[..., Any], runs_root: Path, monkeypatch: pytest.MonkeyPatch, fresh_workers: None
 ) -> None:
-    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
-    from joblib.externals.loky import get_reusable_executor
-
-    # Workers of another test would have its working directory.
-    get_reusable_executor().shutdown(wait=True)
     monkeypatch.delenv(CORES, raising=False)
 
     def share(config: Any, overrides: list[str], job: Any) -> float:

@@ -158,8 +158,7 @@ def test_the_working_directory_stays(command: Callable[..., Any], runs_root: Pat
     assert Path.cwd() == runs_root.parent
 
 
-def test_jobs_in_processes_of_their_own(command: Callable[..., Any], runs_root: Path) -> None:
-    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+def test_jobs_in_processes_of_their_own(command: Callable[..., Any], runs_root: Path, fresh_workers: None) -> None:
     here = os.getpid()
 
     def elsewhere(config: Any, overrides: list[str], job: Any) -> float:

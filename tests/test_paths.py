@@ -58,8 +58,8 @@ TEXTS = {
 CHOICES = {
     "agent", "algorithm.kind", "command.board_point", "command.mode", "command.turn_to", "curriculum.kind",
     "curriculum.name", "film.background", "film.camera", "format", "network.activation", "network.kind", "physics.cone",
-    "physics.device", "physics.engine", "physics.solver", "precision", "robot.variant", "stage.name", "success",
-    "suite.ladder", "suite.name", "suite.stage", "suite.unit", "viewer",
+    "physics.device", "physics.engine", "physics.solver", "precision", "robot.variant", "search.pruner",
+    "search.sampler", "stage.name", "success", "suite.ladder", "suite.name", "suite.stage", "suite.unit", "viewer",
 }  # fmt: skip
 """Settings that take one of a few words, or a name of letters and digits."""
 

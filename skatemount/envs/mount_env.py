@@ -241,8 +241,7 @@ class MountEnv(EnvBase):
                 self._pushes.restart(mask)
             self.statistics.restart(mask)
             sim = self.physics.state(rows)
-            dynamics = self._randomizer.dynamics(self.physics, rows)
-            begun = self.mdp.begin(sim, start.bin, rows, dynamics)
+            begun = self.mdp.begin(sim, start.bin, rows, self._randomizer.dynamics(self.physics, rows))
             if self._random_phase and not self._begun:
                 most, here = self.mdp.context.episode_steps, self.device
                 begun.step = torch.randint(most, (len(rows),), generator=self.generator, device=here)
@@ -359,14 +358,11 @@ class MountEnv(EnvBase):
             state: What `world_state` returned, of an environment of the same task, seed and number of worlds.
         """
         self.physics.load_state_dict(state["physics"])
-        tensors = {name: values.to(self.device) for name, values in state["episode"].items()}
-        # Saved states of older versions lack some. Mypy does not know the methods of a tensorclass.
-        fresh = self.mdp.no_episodes(self.num_worlds).to_tensordict()  # type: ignore[attr-defined]
-        tensors = {**fresh, **tensors}
-        episode = TensorDict(tensors, [self.num_worlds])
+        # Saved states of older versions lack some tensors of an episode, and the sensing.
+        episode = self.mdp.no_episodes(self.num_worlds).to_tensordict()  # type: ignore[attr-defined]
+        episode.update({name: values.to(self.device) for name, values in state["episode"].items()})
         self._episode = EpisodeState.from_tensordict(episode)  # type: ignore[attr-defined]
         self.mdp.memory.load_state_dict(state["memory"])
-        # Saved states of older versions lack it.
         self.mdp.sensing.load_state_dict(state.get("sensing", {}))
         self._privileged = state["privileged"].to(self.device)
         self.statistics.load_state_dict(state["statistics"])

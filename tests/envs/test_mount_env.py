@@ -106,22 +106,6 @@ def test_the_policy_remembers_what_it_saw_but_not_of_the_episode_before(make_env
     assert torch.equal(seen(fourth, 1)[1], seen(after, 0)[1]) and torch.equal(seen(fourth, 2)[1], seen(after, 0)[1])
 
 
-def test_the_critic_sees_the_physics_of_each_world(make_env) -> None:
-    settings = ["observation=student", "boards=varied", "randomization=robust", "sensing=default", "episode_length=0.4"]
-    env = make_env("unfixed", 6, settings)
-    td = env.reset()
-    for _ in range(15):  # worlds begin their second episode
-        field, motor = env.physics.field, env.physics.index.actuators[0]
-        _, td = env.step_and_maybe_reset(td.set("action", torch.zeros(env.action_spec.shape)))
-        shown = env.episode.dynamics
-        start = sum(each["size"] for each in env.mdp.privileged.layout()[:-1])
-        assert env.mdp.privileged.layout()[-1]["name"] == "dynamics"
-        assert torch.equal(td["privileged"][:, start:], shown)
-        torch.testing.assert_close(shown[:, 2], field("body_mass")[:, env.physics.index.board_body].float())
-        torch.testing.assert_close(shown[:, 7], field("actuator_delay")[:, motor].float())
-    assert all(len(column.unique()) > 1 for column in shown.T)
-
-
 def test_the_time_limit_truncates(make_env) -> None:
     env = make_env("balance", 3, (*QUIET, *SHORT))
     env.reset()

@@ -279,7 +279,9 @@ def test_other_terms(context: TaskContext, make_state: MakeState, make_episode: 
         "base_lin_vel": [1, 2, 3],
         "feet_board": sim.foot_pos_board.flatten().tolist(),
         "ride_command": [0, 0, 0],
+        "dynamics": [1.0, 0.5, 2.0, 20.0, 0.9, 1.1, 0.8, 0.03],
     }
+    episode.dynamics = torch.tensor([expected["dynamics"]])
     for name, values in expected.items():
         assert one(context, name, sim, episode).tolist() == pytest.approx(values, abs=1e-6), name
     sim.board_age = torch.tensor([0.08])
