@@ -98,7 +98,8 @@ def doing_nothing() -> None:
     assert success_rate(lambda observation, privileged: torch.zeros(WORLDS, 12)) < NOTHING
 
 
-@pytest.mark.parametrize("make", [pytest.param(gymnasium_env, marks=pytest.mark.nightly), sb3_env])
+@pytest.mark.nightly
+@pytest.mark.parametrize("make", [gymnasium_env, sb3_env])
 def test_stable_baselines3_learns(make: Callable[[], VecEnv]) -> None:
     env = VecNormalize(make(), norm_reward=False)
     model = PPO(

@@ -48,6 +48,7 @@ def test_rsl_rl_curves(repo_root: Path, tmp_path: Path) -> None:
     assert (tmp_path / "rsl_rl_curves.png").stat().st_size > 10_000
 
 
+@pytest.mark.nightly
 def test_foot_creep(repo_root: Path) -> None:
     done = run(repo_root / "benchmarks" / "foot_creep.py", "pretrained:balance", "--suites", "balance-fixed")
     assert done.returncode == 0, done.stderr
@@ -56,6 +57,7 @@ def test_foot_creep(repo_root: Path) -> None:
     assert int(failures) < 52 and (off == "–" or off.endswith(" %"))
 
 
+@pytest.mark.nightly
 def test_rank_curves(repo_root: Path, tmp_path: Path) -> None:
     options = ["--frames", "384", "--worlds", "8", "--ranks", "1", "2", "--seeds", "0", "--out", str(tmp_path)]
     settings = ["physics.threads=1", "torch_threads=1", "episode_length=1.2", "logger.evaluate_episodes=4"]
