@@ -265,6 +265,9 @@ def variant_figures(columns: Mapping[str, Mapping[str, Result]]) -> Iterator[Cha
         held = []
         for i, (name, found) in enumerate(parts.items()):
             known = [(place, found[v].rate) for place, v in zip(places, variants) if v in found]
+            if not known:
+                # An older version of the suite had no steps.
+                continue
             rate = np.array([value for _, value in known])
             x = np.array([place for place, _ in known])
             lines.append(Line(name, x, rate[:, 0], i, rate[:, 1], rate[:, 2], dots=True))

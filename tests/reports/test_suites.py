@@ -103,8 +103,11 @@ def test_a_ladder_says_where_it_falls() -> None:
         "ours": {"pushes": parse({"suites": {"pushes": ladder(0.99, 0.95, 0.6, 0.2)}}, "f")[0]},
         "theirs": {"pushes": parse({"suites": {"pushes": ladder(0.99, 0.95, 0.92, 0.91)}}, "f")[0]},
     }
+    # An older version of the suite had no steps.
+    columns["before"] = {"pushes": parse({"suites": {"pushes": result(0.5)}}, "f")[0]}
     (chart,) = variant_figures(columns)
     assert chart.title == "ladder pushes"
+    assert [label for _, label in chart.legend][-2:] == ["ours", "theirs"] and "before" not in chart.note
     assert "ours falls below 90% at 1.5 m/s." in chart.note and "theirs holds 90% to the end." in chart.note
     lines = json.loads(chart.data)["lines"]
     assert lines[1] == {"label": "ours", "color": 0, "faint": False} | {
