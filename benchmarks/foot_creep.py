@@ -25,7 +25,7 @@ from skatemount.evaluation.suite_task import EvaluationTask, load_suite
 
 @dataclass
 class Stance:
-    """What the feet did in one round of episodes.
+    """Success, and the movements of the feet, in one round of episodes.
 
     Attributes:
         successes: Number of successful episodes.
@@ -43,7 +43,7 @@ class Stance:
 
 
 def measure(agent: TrainedPolicy, suite: str, variant: str | None = None) -> Stance:
-    """Run a round of a suite's episodes and return what the feet did.
+    """Run a round of a suite's episodes, and measure the feet.
 
     Args:
         agent: The policy.

@@ -29,7 +29,7 @@ from skatemount.config.unused import check_used
 from skatemount.evaluation import sweep_report
 from skatemount.runs import atomic
 from skatemount.runs.locks import is_locked
-from skatemount.runs.sweep import RESULTS_FILE, Job, SweepFolder, analyze, key_of, open_sweep
+from skatemount.runs.sweep import RESULTS_FILE, SEARCH, Job, SweepFolder, analyze, key_of, open_sweep
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.quiet import ignore_library_warnings
 from skatemount.utils.ranks import launch
@@ -38,9 +38,6 @@ from skatemount.utils.terminal import safe_streams
 
 TRAIN = "train"
 """The program whose jobs resume, and have folders of their own."""
-
-SEARCH = "search"
-"""The program that has no multiruns."""
 
 FAILED_SCORE = 0.0
 """Score of a job that failed, for the sweeper: the least success rate."""

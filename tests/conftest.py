@@ -55,6 +55,33 @@ def runs_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
+def call_program(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], runs_root: Path
+) -> Callable[..., tuple[Any, str, str]]:
+    """Calls `verb` as a program with arguments, `call_program(verb, program, *arguments)`, in this process.
+
+    Returns its exit status, output and error output.
+    """
+    from skatemount import cli
+    from skatemount.utils.signals import exiting_by_signals
+
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # as Hydra sets it itself
+
+    def call(verb: Callable[..., Any], program: str, *arguments: str) -> tuple[Any, str, str]:
+        monkeypatch.setattr(sys, "argv", [program, *arguments])
+        status: Any = 0
+        try:
+            with exiting_by_signals(program):
+                cli.run(verb, program)
+        except SystemExit as error:
+            status = error.code
+        out, err = capfd.readouterr()
+        return status, out, err
+
+    return call
+
+
+@pytest.fixture
 def fresh_workers() -> None:
     """No worker processes of joblib; those of an earlier test would have its working directory."""
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher")

@@ -5,18 +5,16 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hydra import compose, initialize_config_dir
+from started import start, wait_for
 from tiny import TINY
 
-from skatemount import cli, launchers, multirun
+from skatemount import launchers, multirun
 from skatemount.config import config_dir
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.locks import is_locked
@@ -28,21 +26,9 @@ pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], runs_root: Path) -> Callable[..., Any]:
-    """Calls the training's program with arguments and a verb; returns status, output and error output."""
-    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
-
-    def call(verb: Callable[..., Any], *arguments: str) -> tuple[Any, str, str]:
-        monkeypatch.setattr(sys, "argv", ["train", *arguments])
-        status: Any = 0
-        try:
-            cli.run(verb, "train")
-        except SystemExit as error:
-            status = error.code
-        out, err = capfd.readouterr()
-        return status, out, err
-
-    return call
+def command(call_program: Callable[..., Any]) -> Callable[..., Any]:
+    """Calls the training's program with a verb and arguments; returns status, output and error output."""
+    return lambda verb, *arguments: call_program(verb, "train", *arguments)
 
 
 def no_training(config: Any, overrides: list[str], job: Job | None = None) -> float:
@@ -149,17 +135,9 @@ def test_a_submitted_multirun_is_stopped_and_goes_on(runs_root: Path) -> None:
     arguments = ["-m", "stage=balance", "init_from=null", "seed=1,2", *tiny, "total_frames=6400",
                  "logger.final_episodes=4", "logger.checkpoint_every=5", "launcher=submitit_local"]  # fmt: skip
 
-    def start() -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [sys.executable, "-m", "skatemount.train", *arguments],
-            cwd=runs_root.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        )  # fmt: skip
-
-    process = start()
+    process = start("train", runs_root, *arguments)
     try:
-        while len(list(runs_root.glob("*/*/seed=[12]/checkpoints/step_*"))) < 2:
-            assert process.poll() is None, process.communicate()[1]
-            time.sleep(0.05)
+        wait_for(process, runs_root, "*/*/seed=[12]/checkpoints/step_*", 2)
         # The command alone, not its jobs.
         process.send_signal(signal.SIGTERM)
         _, err = process.communicate()
@@ -174,7 +152,7 @@ def test_a_submitted_multirun_is_stopped_and_goes_on(runs_root: Path) -> None:
     frames = {seed: int(str(folder).rpartition("_")[2]) for seed, folder in left.items()}
     assert all(0 < each < 6400 for each in frames.values())
 
-    process = start()
+    process = start("train", runs_root, *arguments)
     out, err = process.communicate()
     assert process.returncode == 0, out + err
     assert sweeps(runs_root) == [sweep] and f"output of the jobs: runs/skatemount/{sweep.name}/.submitit\n" in out
@@ -187,7 +165,7 @@ def test_a_submitted_multirun_is_stopped_and_goes_on(runs_root: Path) -> None:
     assert logs.count("resumes runs/skatemount/") == 2
 
     # Nothing is left: the jobs are submitted, and skipped.
-    process = start()
+    process = start("train", runs_root, *arguments)
     out, err = process.communicate()
     assert process.returncode == 0, out + err
     logs = "".join(path.read_text() for path in sweep.glob(".submitit/*/*_log.out"))

@@ -5,18 +5,16 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from started import start, wait_for
 from tiny import BATCH, TINY
 
-from skatemount import cli, multirun
+from skatemount import multirun
 from skatemount.multirun import separate_files
 from skatemount.runs.checkpoint import POLICY_FILE, PolicyCard, save_policy
 from skatemount.runs.find import find_checkpoint
@@ -26,7 +24,6 @@ from skatemount.train import _of_job, train
 from skatemount.training.callbacks import CheckpointCallback
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
-from skatemount.utils.signals import exiting_by_signals
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
@@ -51,22 +48,9 @@ def test_several_ranks_cannot_start_one(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], runs_root: Path) -> Callable[..., Any]:
+def command(call_program: Callable[..., Any]) -> Callable[..., Any]:
     """Calls a program with arguments; returns status, output and error output."""
-    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
-
-    def call(verb: Verb, *arguments: str, program: str = "train") -> tuple[Any, str, str]:
-        monkeypatch.setattr(sys, "argv", [program, *arguments])
-        status: Any = 0
-        try:
-            with exiting_by_signals(program):
-                cli.run(verb, program)
-        except SystemExit as error:
-            status = error.code
-        out, err = capfd.readouterr()
-        return status, out, err
-
-    return call
+    return lambda verb, *arguments, program="train": call_program(verb, program, *arguments)
 
 
 def sweeps(runs_root: Path) -> list[Path]:
@@ -351,24 +335,16 @@ def test_a_killed_multirun_resumes_in_processes(launcher: str, runs_root: Path) 
         *(["hydra.launcher.n_jobs=2"] if launcher == "joblib" else []),
     ]  # fmt: skip
 
-    def start() -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [sys.executable, "-m", "skatemount.train", *arguments],
-            cwd=runs_root.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        )  # fmt: skip
-
-    process = start()
+    process = start("train", runs_root, *arguments)
     try:
-        while not list(runs_root.glob("*/*/init_from=null,seed=1/checkpoints/step_*")):
-            assert process.poll() is None, process.communicate()[1]
-            time.sleep(0.05)
+        wait_for(process, runs_root, "*/*/init_from=null,seed=1/checkpoints/step_*")
     finally:
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
     (sweep,) = sweeps(runs_root)
     assert not (sweep / "results.json").exists()
 
-    process = start()
+    process = start("train", runs_root, *arguments)
     out, err = process.communicate()
     assert process.returncode == 1, err
     assert f"resumes runs/skatemount/{sweep.name}/init_from=null,seed=1\n" in out

@@ -51,7 +51,7 @@ def checkpoint(runs_root: Path) -> Path:
 
 SHORT = ["episode_length=0.12", "physics.threads=1", "physics.num_worlds=4"]
 CHANGED = ", changed by episode_length=0.12, physics.num_worlds=4"
-"""What a title says of `SHORT`."""
+"""The part of a title that names the settings in `SHORT`."""
 
 
 LATE = ["sensing=default", "sensing.target_delay=[0.04,0.04]"]

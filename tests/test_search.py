@@ -5,18 +5,15 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from started import start, wait_for
 from tiny import BATCH, TINY
 
 import skatemount.train as training
-from skatemount import cli
 from skatemount.config import compose_program, set_user_config_dir
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.sweep import Score
@@ -24,7 +21,6 @@ from skatemount.search import search
 from skatemount.searching import study as study_module
 from skatemount.training.callbacks import CheckpointCallback
 from skatemount.training.trainer import Trainer
-from skatemount.utils.signals import exiting_by_signals
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
@@ -33,25 +29,10 @@ ARGUMENTS = ["stage=balance", "search.trials=4", SPACE]
 
 
 @pytest.fixture
-def command(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], runs_root: Path
-) -> Iterator[Callable[..., Any]]:
+def command(call_program: Callable[..., Any]) -> Iterator[Callable[..., Any]]:
     """Calls the program with arguments; returns status, output and error output."""
     pytest.importorskip("optuna")
-    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
-
-    def call(*arguments: str) -> tuple[Any, str, str]:
-        monkeypatch.setattr(sys, "argv", ["search", *arguments])
-        status: Any = 0
-        try:
-            with exiting_by_signals("search"):
-                cli.run(search, "search")
-        except SystemExit as error:
-            status = error.code
-        out, err = capfd.readouterr()
-        return status, out, err
-
-    yield call
+    yield lambda *arguments: call_program(search, "search", *arguments)
     set_user_config_dir(None)
 
 
@@ -206,21 +187,13 @@ def test_two_processes_share_a_search_and_take_over_a_killed_one(runs_root: Path
         "logger.final_episodes=4", "logger.checkpoint_every=5",
     ]  # fmt: skip
 
-    def start() -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [sys.executable, "-m", "skatemount.search", *arguments],
-            cwd=runs_root.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        )  # fmt: skip
-
-    killed = start()
+    killed = start("search", runs_root, *arguments)
     try:
-        while not list(runs_root.glob("*/*/trial_001/checkpoints/step_*")):
-            assert killed.poll() is None, killed.communicate()[1]
-            time.sleep(0.05)
+        wait_for(killed, runs_root, "*/*/trial_001/checkpoints/step_*")
     finally:
         os.killpg(killed.pid, signal.SIGKILL)
         killed.communicate()
-    processes = [start(), start()]
+    processes = [start("search", runs_root, *arguments) for _ in range(2)]
     ended = [(process.communicate(), process.returncode) for process in processes]
     assert [status for _, status in ended] == [0, 0], ended
     printed = [out for (out, _), _ in ended]

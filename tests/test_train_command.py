@@ -28,21 +28,9 @@ pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], runs_root: Path) -> Callable[..., Any]:
+def command(call_program: Callable[..., Any]) -> Callable[..., Any]:
     """Calls ``python -m skatemount.train`` with arguments; returns status, output and error output."""
-    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # as it sets it itself
-
-    def call(*arguments: str) -> tuple[Any, str, str]:
-        monkeypatch.setattr(sys, "argv", ["train", *arguments])
-        status: Any = 0
-        try:
-            cli.run(train, "train")
-        except SystemExit as error:
-            status = error.code
-        out, err = capfd.readouterr()
-        return status, out, err
-
-    return call
+    return lambda *arguments: call_program(train, "train", *arguments)
 
 
 def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:

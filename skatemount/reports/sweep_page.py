@@ -23,16 +23,13 @@ from skatemount.reports.statistics import mean_interval
 from skatemount.reports.subjects import Stage, Subject, find_subject, flat, joined, read_run
 from skatemount.reports.suites import Result, measured_rows, suite_charts, suite_rows
 from skatemount.runs.folder import RunFolder, is_run
-from skatemount.runs.sweep import SWEEP_FILE, Score, SweepFolder, is_sweep
+from skatemount.runs.sweep import MACHINE, SEARCH, SWEEP_FILE, Score, SweepFolder, is_sweep
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_count
 
 SEED = "seed"
 
-SEARCH = "search"
-"""The program that begins a search, a sweep without ``-m``."""
-
-MACHINE = ("torch_threads", "physics.threads", "plugins")
+SAME_TRAINING = (*MACHINE, "plugins")
 """Settings that do not change what is trained."""
 
 MAX_COLUMNS = 5
@@ -227,7 +224,7 @@ def _note_differences(members: Sequence[Member]) -> None:
         key
         for key in keys
         if not key.startswith(NOT_TRAINED)
-        and key not in MACHINE
+        and key not in SAME_TRAINING
         and len({shown(each[key]) if key in each else "–" for each in flats}) > 1
     ]
     for member, values in zip(known, flats):

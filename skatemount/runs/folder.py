@@ -28,6 +28,7 @@ from filelock import FileLock, Timeout
 
 from skatemount.runs import atomic
 from skatemount.runs.checkpoint import is_checkpoint, list_checkpoints, step_folder
+from skatemount.runs.locks import LOCK_FILE
 from skatemount.runs.metrics import OLD_SUFFIX
 from skatemount.runs.provenance import environment_report, git_report
 from skatemount.runs.sweep import JOB_FILE, is_sweep
@@ -38,7 +39,7 @@ JOB_OF_TORCHRUN = ".torchrun"
 """File of a run that names the job of ``torchrun`` that trains it."""
 
 _AT_START = {"config.yaml", "overrides.yaml", "git.diff", "environment.txt", "parent.json", "stages.yaml",
-             "stages.json", JOB_FILE, ".lock", JOB_OF_TORCHRUN, "wandb.json", "trackio.json"}  # fmt: skip
+             "stages.json", JOB_FILE, LOCK_FILE, JOB_OF_TORCHRUN, "wandb.json", "trackio.json"}  # fmt: skip
 """Files that a run has before anything is trained."""
 
 POINTERS = ("latest", "best")
@@ -136,7 +137,7 @@ class RunFolder:
         Raises:
             ConfigError: Another process holds the lock.
         """
-        lock = FileLock(self.path / ".lock", blocking=False)
+        lock = FileLock(self.path / LOCK_FILE, blocking=False)
         try:
             lock.acquire()
         except Timeout:

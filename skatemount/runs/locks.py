@@ -6,10 +6,13 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+LOCK_FILE = ".lock"
+"""Name of the lock in the folder of a run or a sweep."""
+
 
 def is_locked(run: Path) -> bool:
     """Return whether another process trains in a run, as far as the file system's locks tell."""
-    lock = FileLock(run / ".lock", blocking=False)
+    lock = FileLock(run / LOCK_FILE, blocking=False)
     try:
         lock.acquire()
     except Timeout:

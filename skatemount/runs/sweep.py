@@ -26,10 +26,14 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import QuotedString
 
 from skatemount.runs import atomic
+from skatemount.runs.locks import LOCK_FILE
 from skatemount.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from skatemount.runs.folder import RunFolder
+
+SEARCH = "search"
+"""The program whose sweeps have no ``-m``: it chooses the settings of its jobs itself."""
 
 SWEEP_FILE = "sweep.json"
 JOB_FILE = "job.json"
@@ -39,11 +43,11 @@ FORMAT = 1
 MAX_LABEL = 120
 """Bytes of a job's folder name; file systems allow 255, and more is added to the name."""
 
-_MACHINE = ("torch_threads", "physics.threads")
+MACHINE = ("torch_threads", "physics.threads")
 """Settings that do not change what is trained."""
 
 _UNFIT = re.compile(r"[/\x00-\x1f\x7f]")
-_SCRATCH = {SWEEP_FILE, "multirun.yaml", ".lock"}
+_SCRATCH = {SWEEP_FILE, "multirun.yaml", LOCK_FILE}
 
 
 class Score(float):
@@ -328,7 +332,7 @@ def identity(overrides: Sequence[str]) -> list[str]:
         key = key_of(override)
         if key.startswith(("hydra.", "hydra/")):
             return key.startswith(("hydra.sweeper", "hydra/sweeper"))
-        return key not in (*_MACHINE, "launcher")
+        return key not in (*MACHINE, "launcher")
 
     return sorted(filter(counts, overrides))
 
@@ -360,7 +364,7 @@ def _command(path: Path, program: str) -> list[str] | None:
 
 def _locked(folder: Path) -> FileLock | None:
     """Return a lock on a sweep; None if another process holds it."""
-    lock = FileLock(folder / ".lock", blocking=False)
+    lock = FileLock(folder / LOCK_FILE, blocking=False)
     try:
         lock.acquire()
     except Timeout:

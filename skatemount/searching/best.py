@@ -12,7 +12,7 @@ import yaml
 from skatemount.config.files import groups
 from skatemount.config.overrides import read
 from skatemount.runs import atomic
-from skatemount.runs.sweep import key_of
+from skatemount.runs.sweep import MACHINE, key_of
 from skatemount.searching.folder import SearchFolder
 from skatemount.searching.space import TRAIN, overrides_of
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from skatemount.searching.study import SharedStudy
 
 NAME = "best"
-MACHINE = ("torch_threads", "physics.threads")
 
 
 def write_best(folder: SearchFolder, study: SharedStudy, record: Mapping[str, Any]) -> Path:

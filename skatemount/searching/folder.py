@@ -23,10 +23,9 @@ from filelock import FileLock, Timeout
 
 from skatemount.config.search import Dimension
 from skatemount.runs import atomic
-from skatemount.runs.sweep import FORMAT, SWEEP_FILE, Job, SweepFolder, identity, key_of
+from skatemount.runs.sweep import FORMAT, SEARCH, SWEEP_FILE, Job, SweepFolder, identity, key_of
 from skatemount.utils.errors import ConfigError
 
-PROGRAM = "search"
 JOURNAL = "journal.log"
 
 PLACE = ("logger.root", "logger.experiment", "logger.name")
@@ -107,12 +106,12 @@ def open_folder(root: Path, name: str, overrides: Sequence[str], dimensions: Seq
     digest = hashlib.sha256(json.dumps(command).encode()).hexdigest()[:8]
     path = root / f"{name}_{digest}"
     space = {each.key: each.written for each in dimensions}
-    folder = SearchFolder(path, PROGRAM, frozenset(map(key_of, command)))
+    folder = SearchFolder(path, SEARCH, frozenset(map(key_of, command)))
     path.mkdir(parents=True, exist_ok=True)
     with folder.alone():
         file = path / SWEEP_FILE
         if not file.exists():
-            document = {"format": FORMAT, "program": PROGRAM, "command": list(overrides), "space": space}
+            document = {"format": FORMAT, "program": SEARCH, "command": list(overrides), "space": space}
             atomic.write_text(file, json.dumps(document, indent=2) + "\n")
             return folder
         folder.is_old = True

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from skatemount.evaluation.intervals import wilson_interval
 from skatemount.runs import atomic
-from skatemount.runs.sweep import RESULTS_FILE
+from skatemount.runs.sweep import RESULTS_FILE, SEARCH
 from skatemount.searching.best import best_command, write_best
-from skatemount.searching.folder import PROGRAM, SearchFolder
+from skatemount.searching.folder import SearchFolder
 from skatemount.searching.picture import draw
 from skatemount.searching.study import SharedStudy, shown
 from skatemount.utils.decoration import Decoration
@@ -77,7 +77,7 @@ def write(folder: SearchFolder, study: SharedStudy) -> list[Record]:
         top = best(records)
         document = {
             "format": FORMAT,
-            "program": PROGRAM,
+            "program": SEARCH,
             "space": {each.key: each.written for each in study.dimensions},
             "trials": records,
             "best": top,

@@ -13,13 +13,12 @@ from skatemount.config.files import groups
 from skatemount.config.keys import in_words, is_known, keys, unknown
 from skatemount.config.overrides import prepare
 from skatemount.config.search import Dimension
-from skatemount.runs.sweep import key_of
+from skatemount.runs.sweep import SEARCH, key_of
 from skatemount.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from optuna.trial import Trial
 
-PROGRAM = "search"
 TRAIN = "train"
 
 Value = float | int | str
@@ -38,7 +37,7 @@ _NOT_SEARCHED = {
 
 def of_training(overrides: Sequence[str]) -> list[str]:
     """Return the overrides of a search that are settings of its trainings."""
-    return [each for each in overrides if key_of(each).partition(".")[0] != PROGRAM]
+    return [each for each in overrides if key_of(each).partition(".")[0] != SEARCH]
 
 
 def check_space(dimensions: Sequence[Dimension], overrides: Sequence[str]) -> None:
@@ -107,8 +106,8 @@ def _check_key(dimension: Dimension) -> None:
     key = dimension.key
     top = key.partition(".")[0]
     is_group = key in groups(TRAIN)
-    if top in (PROGRAM, "hydra", "launcher") or not is_group and not is_known(TrainConfig, key):
-        raise ConfigError(unknown(TRAIN, key, dimension.where) if top != PROGRAM else f"{dimension.where}: {_OWN}")
+    if top in (SEARCH, "hydra", "launcher") or not is_group and not is_known(TrainConfig, key):
+        raise ConfigError(unknown(TRAIN, key, dimension.where) if top != SEARCH else f"{dimension.where}: {_OWN}")
     for refused in (key, top):
         if refused in _NOT_SEARCHED:
             raise ConfigError(f"{dimension.where}: {refused} cannot be searched; {_NOT_SEARCHED[refused]}")

@@ -16,8 +16,8 @@ import numpy as np
 
 from skatemount.config.search import Dimension, SearchConfig
 from skatemount.runs.locks import is_locked
-from skatemount.runs.sweep import Score
-from skatemount.searching.folder import JOURNAL, PROGRAM, SearchFolder, SignOfLife, TrialJob
+from skatemount.runs.sweep import SEARCH, Score
+from skatemount.searching.folder import JOURNAL, SearchFolder, SignOfLife, TrialJob
 from skatemount.searching.space import Value, overrides_of, suggest
 from skatemount.utils.errors import ConfigError
 
@@ -81,7 +81,7 @@ class SharedStudy:
             _mend(journal)
             self._study = optuna.create_study(
                 storage=JournalStorage(JournalFileBackend(str(journal))),
-                study_name=PROGRAM,
+                study_name=SEARCH,
                 direction="maximize",
                 pruner=_pruner(settings),
                 load_if_exists=True,

@@ -12,9 +12,9 @@ from pathlib import Path
 from skatemount import config as configuration
 from skatemount.config import SearchProgramConfig, TrainConfig
 from skatemount.config.messages import is_of_library, reason
-from skatemount.runs.sweep import Score, key_of
+from skatemount.runs.sweep import SEARCH, Score, key_of
 from skatemount.searching import results
-from skatemount.searching.folder import PLACE, PROGRAM, open_folder
+from skatemount.searching.folder import PLACE, open_folder
 from skatemount.searching.pruning import PruningCallback, TakenOver
 from skatemount.searching.space import TRAIN, check_space, of_training
 from skatemount.searching.study import Claimed, SharedStudy, check_installed
@@ -51,7 +51,7 @@ def search(config: SearchProgramConfig, overrides: Sequence[str], train: Train) 
     dimensions = config.search.dimensions()
     check_space(dimensions, own)
     logger = config.logger
-    folder = open_folder(Path(logger.root) / logger.experiment, logger.name or PROGRAM, overrides, dimensions)
+    folder = open_folder(Path(logger.root) / logger.experiment, logger.name or SEARCH, overrides, dimensions)
     folder.total = config.search.trials
     folder.config_dir = str(configuration.user_config_dir() or "") or None
     folder.pin_policies(own)
@@ -131,7 +131,7 @@ def _run(study: SharedStudy, claimed: Claimed, train: Train, place: Sequence[str
 
 
 def _say(text: str) -> None:
-    print(f"skatemount.{PROGRAM}: {text}", file=sys.stderr, flush=True)
+    print(f"skatemount.{SEARCH}: {text}", file=sys.stderr, flush=True)
 
 
 def _is_for_users(error: Exception) -> bool:

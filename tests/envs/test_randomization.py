@@ -117,6 +117,20 @@ def test_the_critic_sees_the_physics_of_each_world(make_env) -> None:
     assert all(len(column.unique()) > 1 for column in shown.T)
 
 
+def test_a_state_from_before_dynamics_were_kept_can_be_restored(make_env) -> None:
+    settings = ["observation=student", "boards=varied", "randomization=robust", "episode_length=0.4"]
+    saved, restored = (make_env("unfixed", 4, settings, seed=3) for _ in range(2))
+    saved.reset()
+    state = saved.world_state()
+    del state["episode"]["dynamics"]
+    restored.load_world_state(state)
+    td = restored.reset()
+    assert not restored.episode.dynamics.any() and torch.equal(restored.episode.step, saved.episode.step)
+    for _ in range(11):  # the next episodes have them
+        _, td = restored.step_and_maybe_reset(td.set("action", torch.zeros(restored.action_spec.shape)))
+    assert restored.episode.dynamics.all(0).sum() >= 7  # all but the delay
+
+
 def test_without_ranges_nothing_is_touched() -> None:
     fields, randomizer = build()
     randomizer.new_episodes(fields, everywhere())

@@ -14,7 +14,7 @@ from skatemount.searching.study import POINTS, Claimed, SharedStudy
 
 
 class FakeTrainer:
-    """What the callback needs of a trainer."""
+    """The attributes and methods of a trainer that the callback uses."""
 
     def __init__(self, total: int = 1000, evaluates: bool = True) -> None:
         logger = SimpleNamespace(evaluate_every=int(evaluates), final_episodes=7)
