@@ -42,16 +42,15 @@ class Stance:
     stood: int
 
 
-def measure(agent: TrainedPolicy, suite: str, variant: str | None = None) -> Stance:
+def measure(agent: TrainedPolicy, suite: str) -> Stance:
     """Run a round of a suite's episodes, and measure the feet.
 
     Args:
         agent: The policy.
-        suite: Name of the suite.
-        variant: One of the suite's variants; the first by default.
+        suite: Name of the suite, whose first variant counts.
     """
     task = EvaluationTask.of(agent, load_suite(suite))
-    evaluator = task.evaluator(next(iter(task.configs)) if variant is None else variant)
+    evaluator = task.evaluator(next(iter(task.configs)))
     env: MountEnv = evaluator.env
     speeds, forces, longest = [], [], torch.zeros(env.num_worlds)
 
