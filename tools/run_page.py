@@ -121,7 +121,8 @@ class Shell:
     def play(self, command: str, picture: Path | None) -> tuple[int, str, float]:
         """Run `play` until its page has been opened and its robot pushed; return the same as `run`."""
         log = "${TMPDIR:-/tmp}/play.log"
-        self.run(f"{command} open_browser=false plain=true >{log} 2>&1 & playing=$!")
+        # Made before the program starts: the shell in the background may not have opened it when it is first read.
+        self.run(f": >{log}; {command} open_browser=false plain=true >>{log} 2>&1 & playing=$!")
         printed = ""
 
         def address() -> str:
