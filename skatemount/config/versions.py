@@ -13,7 +13,7 @@ from skatemount.envs.config.boards import RANGES
 from skatemount.runs.shipped import ALIASES
 from skatemount.utils.errors import ConfigError
 
-FORMAT = 8
+FORMAT = 9
 
 RENAMED: dict[str, str] = {
     "algorithm.clip": "algorithm.clip_epsilon",
@@ -78,6 +78,7 @@ ADDED_LATER: dict[str, Any] = {
     "logger.loggers": [],
     "network.kind": "mlp",
     "network.params": {},
+    "physics.foot_impedance": [0.9, 0.95],
     "plugins": [],
     "randomization.torque_limit": [1.0, 1.0],
     "sensing": {
@@ -101,7 +102,7 @@ ADDED_LATER: dict[str, Any] = {
     "start.move_with_board": False,
     "start.truck_angle": None,
 }
-"""The same for files of formats 1 to 7."""
+"""The same for files of formats 1 to 8."""
 
 RENAMED_VALUES: dict[str, dict[str, str]] = {"robot.variant": {"unitree": "a1", "isaac": "a1_isaac"}}
 """Values of formats 1 to 3 and what they became in format 4, by setting."""

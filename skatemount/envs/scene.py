@@ -21,6 +21,12 @@ from skatemount.envs.entities.quadruped import Quadruped
 from skatemount.envs.entities.skateboard import WELD_SOLIMP, WELD_SOLREF, Skateboard
 from skatemount.utils.errors import ConfigError
 
+_FOOT_SOLIMP_REST = (0.001, 0.5, 2.0)
+"""The last three numbers of the feet's solimp: width of 1 mm, and MuJoCo's own midpoint and power."""
+
+_FOOT_SOLMIX = 1000.0
+"""Makes MuJoCo use the foot's solimp in place of an average with that of what it touches."""
+
 
 class Scene:
     """The arena with the robot and the board in it.
@@ -64,6 +70,8 @@ class Scene:
         # Memory for contacts and constraints, which the CPU engine reserves for each world.
         root.size.memory = "1M"
         self._set_options(root)
+        for geom in self.robot.foot_geoms:
+            geom.set_attributes(solimp=(*solver.foot_impedance, *_FOOT_SOLIMP_REST), solmix=_FOOT_SOLMIX)
         if delay_steps:
             for actuator in self.robot.actuators:
                 actuator.set_attributes(delay=delay_steps * solver.timestep, nsample=delay_steps, interp="zoh")

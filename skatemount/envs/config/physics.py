@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-from skatemount.utils.bounds import check_bounds, number
+from skatemount.utils.bounds import check_bounds, interval, number
 from skatemount.utils.errors import ConfigError
 
 ELLIPTIC_LS_ITERATIONS = 50
@@ -27,6 +27,8 @@ class SolverConfig:
         tolerance: Improvement below which the solver stops early; mujoco_warp raises it to at least 1e-6.
         cone: Friction cone, ``pyramidal`` or ``elliptic``.
         impratio: Ratio of frictional to normal constraint impedance.
+        foot_impedance: Impedance of the feet's contacts at no depth and at a depth of 1 mm, the first two numbers of
+            MuJoCo's ``solimp``. With MuJoCo's default, [0.9, 0.95], loaded feet creep.
     """
 
     timestep: float = field(metadata=number(0.0001, 0.02, "s"))
@@ -37,6 +39,7 @@ class SolverConfig:
     tolerance: float = field(metadata=number(0, 1))
     cone: str
     impratio: float = field(metadata=number(0, 1000, above=True))
+    foot_impedance: list[float] = field(metadata=interval(0.0001, 0.9999))
 
     @property
     def control_step(self) -> float:
