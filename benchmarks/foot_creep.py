@@ -42,14 +42,15 @@ class Stance:
     stood: int
 
 
-def measure(agent: TrainedPolicy, suite: str) -> Stance:
+def measure(agent: TrainedPolicy, suite: str, settings: list[str]) -> Stance:
     """Run a round of a suite's episodes, and measure the feet.
 
     Args:
         agent: The policy.
         suite: Name of the suite, whose first variant counts.
+        settings: Changes of the suite's settings.
     """
-    task = EvaluationTask.of(agent, load_suite(suite))
+    task = EvaluationTask.of(agent, load_suite(suite), settings)
     evaluator = task.evaluator(next(iter(task.configs)))
     env: MountEnv = evaluator.env
     speeds, forces, longest = [], [], torch.zeros(env.num_worlds)
@@ -79,13 +80,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("policies", nargs="+", help="runs, checkpoints, or pretrained:NAME")
     parser.add_argument("--suites", nargs="+", default=["drawn-boards", "mount-unfixed", "rolling"])
+    parser.add_argument("--settings", nargs="+", default=[], help="such as physics.foot_impedance=[0.9,0.95]")
     options = parser.parse_args()
     names = ["policy", "suite", "success", "creep, mm/s", "sideways, N", "failures", "stepped off"]
     print(f"| {' | '.join(names)} |", "|---" * len(names) + "|", sep="\n")
     for policy in options.policies:
         agent = TrainedPolicy.load(policy)
         for suite in options.suites:
-            found = measure(agent, suite)
+            found = measure(agent, suite, options.settings)
             failures = found.episodes - found.successes
             off = f"{100 * found.stood / failures:.0f} %" if failures else "–"
             print(

@@ -48,9 +48,20 @@ def test_rsl_rl_curves(repo_root: Path, tmp_path: Path) -> None:
     assert (tmp_path / "rsl_rl_curves.png").stat().st_size > 10_000
 
 
+def test_foot_contacts(repo_root: Path) -> None:
+    done = run(repo_root / "benchmarks" / "foot_contacts.py")
+    assert done.returncode == 0, done.stderr
+    rows = [line.strip("| ").split(" | ") for line in done.stdout.splitlines()[2:]]
+    kept = {row[0]: float(row[4]) / float(row[3]) for row in rows}
+    creep = {row[0]: float(row[5]) for row in rows}
+    assert kept["[0.9, 0.95]"] < 0.6 and kept["[0.99, 0.999]"] > 0.95
+    assert creep["[0.9, 0.95]"] > 5 * creep["[0.99, 0.999]"] > 0
+
+
 @pytest.mark.nightly
 def test_foot_creep(repo_root: Path) -> None:
-    done = run(repo_root / "benchmarks" / "foot_creep.py", "pretrained:balance", "--suites", "balance-fixed")
+    done = run(repo_root / "benchmarks" / "foot_creep.py", "pretrained:balance", "--suites", "balance-fixed",
+               "--settings", "physics.num_worlds=64")  # fmt: skip
     assert done.returncode == 0, done.stderr
     success, creep, sideways, failures, off = done.stdout.splitlines()[-1].strip("| ").split(" | ")[2:]
     assert float(success.removesuffix(" %")) > 80 and 0 < float(creep) < 100 and float(sideways) > 0

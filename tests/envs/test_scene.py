@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
 import pytest
 
-from skatemount.envs import MountTask
+from skatemount.envs import MountEnv, MountTask
 from skatemount.envs.scene import Scene, SceneIndex
 
 
@@ -112,3 +113,13 @@ def test_a_model_without_visuals_computes_the_same() -> None:
         results.append((data.qpos.copy(), data.sensordata.copy()))
     for a, b in zip(*results):
         np.testing.assert_array_equal(a, b)
+
+
+def test_a_foot_touches_with_the_impedance_of_the_settings(make_env: Callable[..., MountEnv]) -> None:
+    env = make_env("balance", 2, ["physics.foot_impedance=[0.6,0.7]"])
+    env.reset()
+    model, data = env.physics.render_data(0)
+    mujoco.mj_forward(model, data)
+    feet = {model.geom(geom.full_identifier).id for geom in env.task.scene.robot.foot_geoms}
+    touching = [contact for contact in data.contact if {contact.geom1, contact.geom2} & feet]
+    assert touching and all(contact.solimp[:3] == pytest.approx([0.6, 0.7, 0.001], rel=1e-3) for contact in touching)

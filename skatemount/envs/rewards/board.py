@@ -232,7 +232,8 @@ def deck_margin(sim: SimState, episode: EpisodeState, context: TaskContext, marg
 def feet_creep(sim: SimState, episode: EpisodeState, context: TaskContext) -> Tensor:
     """Penalize feet that creep on the deck: the sum of their x-y speeds on the board while mounted, m/s (ours).
 
-    A foot that pushes sideways creeps, because friction in MuJoCo is soft, and slips off the deck after some seconds.
+    With ``physics.foot_impedance=[0.9,0.95]``, MuJoCo's default, a foot that pushes sideways creeps, and slips off the
+    deck after some seconds.
     """
     return torch.linalg.vector_norm(sim.foot_vel_board[..., :2], dim=-1).sum(-1) * episode.mounted
 
