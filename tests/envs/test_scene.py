@@ -117,7 +117,7 @@ def test_a_model_without_visuals_computes_the_same() -> None:
 
 def test_a_foot_touches_with_the_impedance_of_the_settings(make_env: Callable[..., MountEnv]) -> None:
     env = make_env("balance", 2, ["physics.foot_impedance=[0.6,0.7]"])
-    env.reset()
+    env.rollout(5)
     model, data = env.physics.render_data(0)
     mujoco.mj_forward(model, data)
     feet = {model.geom(geom.full_identifier).id for geom in env.task.scene.robot.foot_geoms}

@@ -25,6 +25,7 @@ from skatemount.training.setup import make_networks
 
 BEARINGS = {0.025: 0.0015, 0.035: 0.0022, 0.0295: 0.0016}
 """Friction of a wheel's bearing, N m, by the wheel's radius, m: that of the default, the long and the mini board."""
+
 FEET = "physics.foot_impedance=[0.9,0.95]"
 """MuJoCo's own contacts of the feet."""
 
@@ -32,8 +33,8 @@ FEET = "physics.foot_impedance=[0.9,0.95]"
 def training_line(line: str) -> str:
     """Return the command line that trains with the physics of that commit; later versions have other defaults."""
     board = _compose(line).board
-    physics = {"rolling_resistance": 0.0, "wheel_friction": board.wheel_friction}
-    return " ".join([line, "command.board_point=deck", FEET, *(f"board.{name}={value}" for name, value in physics.items())])
+    physics = ["board.rolling_resistance=0.0", f"board.wheel_friction={board.wheel_friction}", FEET]
+    return " ".join([line, "command.board_point=deck", *physics])
 
 
 def _as_then(config: configuration.TrainConfig) -> configuration.TrainConfig:
