@@ -64,18 +64,19 @@ def action_interface(task: MountTask) -> dict[str, Any]:
     }
 
 
-def check_interface(card: PolicyCard, task: MountTask, where: str = "checkpoint") -> None:
+def check_interface(card: PolicyCard, task: MountTask, where: str = "checkpoint", other_robot: bool = False) -> None:
     """Check that a task gives the observation that a policy was trained with, and that actions mean the same.
 
     Args:
         card: The policy's card.
         task: The task.
         where: Name of the policy in messages.
+        other_robot: Allow another robot with the same joints.
 
     Raises:
         ConfigError: They differ; the message names the robot if that is another one, or else the first difference.
     """
-    check_actions(card, task, where)
+    check_actions(card, task, where, other_robot)
     theirs, ours = card.observation, observation_layout(task)
     for i in range(max(len(theirs), len(ours))):
         a = theirs[i] if i < len(theirs) else None
@@ -84,11 +85,12 @@ def check_interface(card: PolicyCard, task: MountTask, where: str = "checkpoint"
             raise ConfigError(f"{where}: part {i + 1} of its observation is {_words(a)}, the task gives {_words(b)}")
 
 
-def check_actions(card: PolicyCard, task: MountTask, where: str) -> None:
+def check_actions(card: PolicyCard, task: MountTask, where: str, other_robot: bool = False) -> None:
     """Check that actions mean in a task what they meant in a policy's training; see `check_interface`."""
     action = action_interface(task)
+    own = _OF_A_ROBOT if other_robot and _other_robot(card, task) else ()
     for name, value in action.items():
-        if card.action.get(name) != value:
+        if card.action.get(name) != value and name not in own:
             problem = (
                 f"its actions have {name}={card.action.get(name)}, the task's {value}{_other_settings(card, task)}"
             )
@@ -118,6 +120,9 @@ def _other_settings(card: PolicyCard, task: MountTask) -> str:
                 found.append(f"{group}.{name}={value}")
     return f"; give {' '.join(found)}" if found else ""
 
+
+_OF_A_ROBOT = ("default_pose", "scale")
+"""What actions mean for a robot that another one with the same joints may have differently."""
 
 _BEHIND_ACTIONS = {
     "robot": (

@@ -25,7 +25,14 @@ from skatemount.models.normalization import RunningNormalizer
 from skatemount.utils.errors import ConfigError
 
 
-def load_pretrained(networks: Networks, agent: TrainedPolicy, task: MountTask, may_expand: bool, where: str) -> None:
+def load_pretrained(
+    networks: Networks,
+    agent: TrainedPolicy,
+    task: MountTask,
+    may_expand: bool,
+    where: str,
+    other_robot: bool = False,
+) -> None:
     """Load a policy into the networks of a training.
 
     Args:
@@ -34,14 +41,18 @@ def load_pretrained(networks: Networks, agent: TrainedPolicy, task: MountTask, m
         task: Task of the training.
         may_expand: Allow networks that are larger or read more than the policy's; see `expand`.
         where: Name of the policy in messages.
+        other_robot: Allow a policy of another robot with the same joints.
 
     Raises:
         ConfigError: It does not fit the networks or the task; the message names the difference.
     """
     try:
-        check_actions(agent.card, task, where)
+        check_actions(agent.card, task, where, other_robot)
     except ConfigError as error:
-        raise ConfigError(f"{error}, or another init_from") from error
+        instead = ", or another init_from"
+        if _fits_but_for_the_robot(agent, task, where):
+            instead = ", another init_from, or init_from_other_robot=true to train that robot's policy on"
+        raise ConfigError(f"{error}{instead}") from error
     for name in ("kind", "params", "activation", "normalize", "symmetric"):
         _check_same(name, networks.config, agent.config.network, where, "")
     if may_expand:
@@ -53,7 +64,7 @@ def load_pretrained(networks: Networks, agent: TrainedPolicy, task: MountTask, m
         expand(networks, agent, observation_layout(task), where)
         return
     try:
-        check_interface(agent.card, task, where)
+        check_interface(agent.card, task, where, other_robot)
     except ConfigError as error:
         choice = _observation_choice(agent)
         advice = f"give {choice or 'the observation that the policy was trained with'}, or another init_from"
@@ -79,6 +90,15 @@ def _gives_all_inputs(agent: TrainedPolicy, task: MountTask, where: str) -> bool
         check_actions(agent.card, task, where)
         for key in ("observation", "privileged"):
             feature_indices(observation_layout(task), agent.card.observation, key, where, "this run")
+    except ConfigError:
+        return False
+    return True
+
+
+def _fits_but_for_the_robot(agent: TrainedPolicy, task: MountTask, where: str) -> bool:
+    """Return True if actions mean the same but for what robots with the same joints may have differently."""
+    try:
+        check_actions(agent.card, task, where, other_robot=True)
     except ConfigError:
         return False
     return True

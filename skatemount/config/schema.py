@@ -149,6 +149,7 @@ class TrainConfig(TaskConfig):
         init_from: Initial policy: ``stage`` (the one that the stage names), null (from scratch), or what ``checkpoint``
             of `EvaluateConfig` may be.
         init_from_expand: Allow a network that is larger than the initial policy's, or has more observations.
+        init_from_other_robot: Allow an initial policy of another robot with the same joints.
         resume: Run to resume; null starts a new one.
     """
 
@@ -166,6 +167,7 @@ class TrainConfig(TaskConfig):
     torch_threads: int = field(metadata=number(1, 1024, zero="every core"))
     init_from: str | None
     init_from_expand: bool
+    init_from_other_robot: bool
     resume: str | None
 
     def validate(self) -> None:

@@ -13,7 +13,7 @@ from skatemount.envs.config.boards import RANGES
 from skatemount.runs.shipped import ALIASES
 from skatemount.utils.errors import ConfigError
 
-FORMAT = 9
+FORMAT = 10
 
 RENAMED: dict[str, str] = {
     "algorithm.clip": "algorithm.clip_epsilon",
@@ -74,6 +74,7 @@ ADDED_LATER: dict[str, Any] = {
     "command.ride_after": 0.0,
     "command.speed": [0.3, 1.5],
     "distributed": {"timeout": 60.0, "check_every": 10},
+    "init_from_other_robot": False,
     "logger.dump_diverged": 0,
     "logger.loggers": [],
     "network.kind": "mlp",
@@ -102,7 +103,7 @@ ADDED_LATER: dict[str, Any] = {
     "start.move_with_board": False,
     "start.truck_angle": None,
 }
-"""The same for files of formats 1 to 8."""
+"""The same for files of formats 1 to 9."""
 
 RENAMED_VALUES: dict[str, dict[str, str]] = {"robot.variant": {"unitree": "a1", "isaac": "a1_isaac"}}
 """Values of formats 1 to 3 and what they became in format 4, by setting."""

@@ -17,7 +17,7 @@ from skatemount.runs.folder import RunFolder
 from skatemount.runs.sweep import Score
 from skatemount.training.score import score_of
 
-NOT_TRAINED = ("format", "logger.", "resume", "init_from_expand")
+NOT_TRAINED = ("format", "logger.", "resume", "init_from_expand", "init_from_other_robot")
 """Settings that say nothing about what was trained."""
 
 _TIME = re.compile(r"^\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_")

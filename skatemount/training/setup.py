@@ -58,7 +58,8 @@ def load_initial_policy(
     if spec is None:
         return None, None
     agent = TrainedPolicy.load(spec, config.logger.root, "init_from")
-    load_pretrained(networks, agent, task, config.init_from_expand, f"init_from={spec}")
+    where = f"init_from={spec}"
+    load_pretrained(networks, agent, task, config.init_from_expand, where, config.init_from_other_robot)
     # This run sets how widely to explore: a policy that learned to walk explores too much for standing.
     networks.limit_std(config.network.max_std)
     card = agent.card

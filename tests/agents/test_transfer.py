@@ -152,6 +152,28 @@ def test_a_policy_says_with_which_robot_it_was_trained(
     overrides = [f"init_from=pretrained:{init_from}", *TINY[:1], *TINY[4:], f"logger.root={tmp_path}", *given]
     with pytest.raises(ConfigError, match=f"^init_from=pretrained:{init_from}: ") as error:
         Trainer(compose("balance", overrides))
-    assert expected in str(error.value) and str(error.value).endswith(", or another init_from")
+    # Another robot has one more way out.
+    ends = "init_from_other_robot=true to train that robot's policy on" if "robot, " in expected else "another init_from"
+    assert expected in str(error.value) and str(error.value).endswith(f", or {ends}")
     assert ("observation=" in str(error.value)) == ("observation=compact" in given)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_policy_of_another_robot_with_the_same_joints_when_asked(small: TrainedPolicy, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"another robot, a1, than the task's go2; .*init_from_other_robot=true"):
+        grown(small, tmp_path, "robot=go2")
+
+    for expand in ("init_from_expand=false", "init_from_expand=true"):
+        trainer = grown(small, tmp_path, "robot=go2", "init_from_other_robot=true", expand)
+        networks, theirs = trainer.networks.state_dict(), small.networks.state_dict()
+        assert networks.keys() == theirs.keys()
+        actor = [name for name in networks if name.startswith("actor") and name.endswith("weight")]
+        assert actor and all(torch.equal(networks[name], theirs[name]) for name in actor)
+
+
+def test_another_rate_of_control_is_no_other_robot(small: TrainedPolicy, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as error:
+        grown(small, tmp_path, "robot=go2", "physics.substeps=2")
+    assert "init_from_other_robot" not in str(error.value)
+    with pytest.raises(ConfigError, match="control_step"):
+        grown(small, tmp_path, "init_from_other_robot=true", "physics.substeps=2")
