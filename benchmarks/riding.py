@@ -4,10 +4,9 @@
     python benchmarks/riding.py board=carver
 
 Motors that are far stronger than the robot's hold it in its default pose, so it is a statue that does not balance. It
-stands a few millimeters beside the middle of the deck. Its feet creep on to that side, because the engine's contacts
-are soft, so its mean place is measured. The first table compares the lean with the balance of torques about the roll
-axis, (K - m g h + m v^2 h / l) gamma = m g s, with l = L tan(theta) / 2, and the turning rate with the law of the
-trucks, omega = v sin(gamma) / l. The last line compares the radius at the trucks' stops with R_min.
+stands a few millimeters beside the middle of the deck. The first table compares the lean with the balance of torques
+about the roll axis, (K - m g h + m v^2 h / l) gamma = m g s, with l = L tan(theta) / 2, and the turning rate with the
+law of the trucks, omega = v sin(gamma) / l. The last line compares the radius at the trucks' stops with R_min.
 """
 
 from __future__ import annotations
