@@ -108,9 +108,7 @@ class Comparison:
 
     def run(self, method: str, seed: int) -> RunFolder | None:
         """Return the run folder of a training, or None if there is no checkpoint to continue from."""
-        found = sorted((self.folder / "runs" / "compare").glob(f"*_{method}_seed{seed}"))
-        runs = [RunFolder(path) for path in found]
-        return next((run for run in reversed(runs) if run.latest is not None), None)
+        return RunFolder.newest(self.folder / "runs", "compare", f"{method}_seed{seed}")
 
     def train(self, method: str, seed: int) -> None:
         """Train, resume, or do nothing if the training is finished."""

@@ -33,12 +33,6 @@ Curve = list[tuple[int, float]]
 """Environment steps and success rate of every evaluation."""
 
 
-def find_run(folder: Path, name: str) -> RunFolder | None:
-    """Return the newest run of a training that has a checkpoint, if there is one."""
-    found = sorted((folder / "runs" / "ranks").glob(f"*_{name}"))
-    return next((run for path in reversed(found) if (run := RunFolder(path)).latest is not None), None)
-
-
 def train(folder: Path, ranks: int, seed: int, worlds: int, frames: int, settings: list[str]) -> RunFolder:
     """Train, resume, or do nothing if the training is finished.
 
@@ -54,7 +48,7 @@ def train(folder: Path, ranks: int, seed: int, worlds: int, frames: int, setting
         The run.
     """
     name, root = f"{ranks}_ranks_seed{seed}", f"logger.root={folder / 'runs'}"
-    run = find_run(folder, name)
+    run = RunFolder.newest(folder / "runs", "ranks", name)
     if run is None:
         names = [root, "logger.experiment=ranks", f"logger.name={name}", "logger.final_episodes=0"]
         sizes = [f"physics.num_worlds={worlds // ranks}", f"total_frames={frames}", f"seed={seed}"]
@@ -66,7 +60,7 @@ def train(folder: Path, ranks: int, seed: int, worlds: int, frames: int, setting
     launcher = ["torch.distributed.run", f"--nproc-per-node={ranks}", "--standalone", "-m"] if ranks > 1 else []
     if status := subprocess.call([sys.executable, "-m", *launcher, "skatemount.train", *arguments]):
         sys.exit(f"{name} ended with status {status}; start the script again to continue")
-    run = find_run(folder, name)
+    run = RunFolder.newest(folder / "runs", "ranks", name)
     assert run is not None
     return run
 

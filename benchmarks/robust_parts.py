@@ -61,8 +61,7 @@ class Comparison:
 
     def run(self, part: str) -> RunFolder | None:
         """Return the training of a part, or None if it has no checkpoint."""
-        found = sorted((self.folder / "runs" / "parts").glob(f"*_{_name(part)}"))
-        return next((run for path in reversed(found) if (run := RunFolder(path)).latest is not None), None)
+        return RunFolder.newest(self.folder / "runs", "parts", _name(part))
 
     def train(self, part: str) -> None:
         """Train, resume, or do nothing if the training is finished."""

@@ -130,6 +130,13 @@ class RunFolder:
             f"{setting}={str(path)!r}: not a run folder (config.yaml and git.diff in it), nor a checkpoint of one"
         )
 
+    @classmethod
+    def newest(cls, root: Path | str, experiment: str, name: str) -> RunFolder | None:
+        """Return the newest run of a name that has a checkpoint, or None if there is none."""
+        paths = [path for path in (Path(root) / experiment).glob("*") if _RUN_NAME.fullmatch(path.name)]
+        named = sorted((path for path in paths if path.name[20:] == name), key=age_key, reverse=True)
+        return next((run for run in map(cls, named) if run.latest is not None), None)
+
     @contextmanager
     def lock(self) -> Iterator[None]:
         """Keep all other processes from training in this run until the block ends, or the process does.

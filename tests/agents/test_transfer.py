@@ -153,7 +153,9 @@ def test_a_policy_says_with_which_robot_it_was_trained(
     with pytest.raises(ConfigError, match=f"^init_from=pretrained:{init_from}: ") as error:
         Trainer(compose("balance", overrides))
     # Another robot has one more way out.
-    ends = "init_from_other_robot=true to train that robot's policy on" if "robot, " in expected else "another init_from"
+    ends = (
+        "init_from_other_robot=true to train that robot's policy on" if "robot, " in expected else "another init_from"
+    )
     assert expected in str(error.value) and str(error.value).endswith(f", or {ends}")
     assert ("observation=" in str(error.value)) == ("observation=compact" in given)
     assert list(tmp_path.iterdir()) == []

@@ -142,6 +142,16 @@ def test_latest_is_the_newest_run_that_has_a_checkpoint(runs_root: Path, pointer
     assert find_checkpoint("latest", runs_root) == wanted
 
 
+def test_the_newest_run_of_a_name(runs_root: Path) -> None:
+    assert RunFolder.newest(runs_root, "exp", "seed1") is None
+    for time in ("2026-01-01_00-00-00", "2026-02-01_00-00-00"):
+        add_checkpoint(make_run(runs_root, "seed1", time), 10)
+    make_run(runs_root, "seed1", "2026-03-01_00-00-00")  # has no checkpoint
+    add_checkpoint(make_run(runs_root, "auto_seed1", "2026-04-01_00-00-00"), 10)
+    found = RunFolder.newest(runs_root, "exp", "seed1")
+    assert found is not None and found.path.name == "2026-02-01_00-00-00_seed1"
+
+
 def test_a_moved_run_leaves_no_pointer_around_it(runs_root: Path, tmp_path: Path) -> None:
     run = make_run(runs_root)
     moved = tmp_path / "a" / "b" / "mine"
