@@ -77,7 +77,7 @@ def test_every_world_steps_as_its_own_model(make_env: Callable[..., MountEnv]) -
     resting = [data.qpos[physics.index.board_qpos[2]] for data in worlds]
     assert resting == [board.deck_height for board in boards.of_world]
     for _ in range(25):
-        targets = env.mdp.targets(0.3 * torch.randn(6, 12, generator=generator))
+        targets = env.mdp.targets(0.2 * torch.randn(6, 12, generator=generator))
         physics.step(targets, 4)
         for model, data, row in zip(models, worlds, targets, strict=True):
             data.ctrl[physics.index.actuators] = row

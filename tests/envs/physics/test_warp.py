@@ -33,15 +33,15 @@ VARIED = ["start.board_fixed=0.5", "start.step_height=[0.0,0.088]", "start.force
 VARIED += ["start.board_speed=[0.0,0.5]", "start.yaw=[-3.0,3.0]"]
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)]
 TOLERANCES = {
-    **dict.fromkeys(("base_pos", "board_pos", "foot_pos", "foot_pos_board", "ground_height"), 1e-3),  # m
-    **dict.fromkeys(("base_rot", "board_rot", "gravity", "joint_pos", "truck_angle"), 5e-3),  # 1, rad
-    **dict.fromkeys(("base_lin_vel", "board_lin_vel", "foot_vel"), 2e-2),  # m/s
-    **dict.fromkeys(("base_ang_vel", "board_ang_vel", "joint_vel"), 0.1),  # rad/s
+    **dict.fromkeys(("base_pos", "board_pos", "foot_pos", "foot_pos_board", "ground_height"), 3e-3),  # m
+    **dict.fromkeys(("base_rot", "board_rot", "gravity", "joint_pos", "truck_angle"), 1e-2),  # 1, rad
+    **dict.fromkeys(("base_lin_vel", "board_lin_vel", "foot_vel"), 4e-2),  # m/s
+    **dict.fromkeys(("base_ang_vel", "board_ang_vel", "joint_vel"), 0.15),  # rad/s
     **dict.fromkeys(("foot_deck_force", "foot_other_force", "joint_torque"), 0.5),  # N, N m
     "body_force": 0.5,  # N
     "board_fixed": 0.0,
 }
-"""Largest difference of 95 of 100 numbers. The others are robots that fall: there a rounding error grows."""
+"""Largest difference of 95 of 100 numbers. The others are robots that fall or slip: there a rounding error grows."""
 
 
 def engine(name: str, task: MountTask, worlds: int = WORLDS, device: str = "cpu") -> Physics:
@@ -123,8 +123,8 @@ def test_a_hundred_steps_like_those_of_the_cpu_engine(task: MountTask, pair: tup
     for name, most in TOLERANCES.items():
         a, b = (torch.stack([states[i].get(name) for states in seen]) for i in (0, 1))
         assert difference(a, b) <= most, name
-        # At first everything is the same, and it stays so where nothing is touched.
-        assert difference(a[:3], b[:3], 0.99) <= most, name
+        # At first, before a foot slips in one engine and not in the other, everything is the same.
+        assert difference(a[:3], b[:3], 0.99) <= most / 10, name
     contacts = torch.stack([(a.foot_deck_force != 0).any(-1) == (b.foot_deck_force != 0).any(-1) for a, b in seen])
     assert float(contacts.float().mean()) > 0.98
 
@@ -164,8 +164,9 @@ def test_observations_and_rewards_are_the_cpu_engines(boards: str) -> None:
         action = 0.2 * torch.randn(WORLDS, 12, generator=generator)
         data = [env.step(each.set("action", action.clone()))["next"] for env, each in zip(envs, data)]
         a, b = data
-        assert difference(a["observation"], b["observation"], 0.99) < 0.01
-        assert difference(a["privileged"], b["privileged"], 0.99) < 0.01
+        assert difference(a["observation"], b["observation"], 0.99) < 0.02
+        # A foot that slips a step later in one engine moves the board.
+        assert difference(a["privileged"], b["privileged"], 0.99) < 0.05
         assert difference(a["reward"], b["reward"]) < 2e-3
         assert torch.equal(a["done"], b["done"])
     for env in envs:
