@@ -22,7 +22,7 @@ from skatemount.envs.tasks import TASKS
 from skatemount.evaluate import evaluate, film_commands
 from skatemount.evaluation.records import EpisodeRecords
 from skatemount.evaluation.results import Evaluation
-from skatemount.evaluation.suite_task import EvaluationTask
+from skatemount.evaluation.suite_task import EvaluationTask, load_suite
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.runs.checkpoint import save_policy
 from skatemount.utils.errors import ConfigError
@@ -64,7 +64,9 @@ def test_prints_a_table_and_writes_the_same(policy: Path, tmp_path: Path, capsys
     changes = ["episode_length=0.8", "physics.num_worlds=4"]
     assert evaluated["changed_by"] == changes
     assert evaluated["versions"]["mujoco"]
-    assert f"tiny on mount-fixed, version 1, changed by {', '.join(changes)}" in printed
+    assert (
+        f"tiny on mount-fixed, version {load_suite('mount-fixed').version}, changed by {', '.join(changes)}" in printed
+    )
     assert [line.split() for line in printed.splitlines() if line.startswith(" changed by")] == [
         ["changed", "by", each] for each in changes
     ]

@@ -36,7 +36,7 @@ def test_it_writes_a_folder_and_says_how_to_use_it(tmp_path: Path, capsys: pytes
     folder = PolicyFolder(tmp_path / "policy")
     assert folder.card["policy"]["stage"] == "mount"
     suite = folder.suites["mount-fixed"]
-    assert (suite["episodes"], suite["version"]) == (6, 1)
+    assert (suite["episodes"], suite["version"]) == (6, suite_task.load_suite("mount-fixed").version)
     (variant,) = suite["variants"]
     starts = folder.arrays(variant["starts"])
     assert {len(values) for name, values in starts.items() if not name.startswith("push.")} == {6}

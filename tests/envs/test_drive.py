@@ -13,8 +13,14 @@ from skatemount.envs import MountEnv
 from skatemount.envs.drive import GAIN, MAX_PULL, Drive
 from skatemount.envs.rolling import RollingResistance
 
-# The trucks are so stiff that a robot without a policy stands for long.
-RIDE = ["start.board_fixed=0", "start.board_speed=[1.0,1.0]", "start.move_with_board=true", "board.truck_stiffness=300"]
+# The trucks are so stiff, and the feet so soft, that a robot without a policy stands for long and does not rock.
+RIDE = ["physics.foot_impedance=[0.9,0.95]"]
+RIDE += [
+    "start.board_fixed=0",
+    "start.board_speed=[1.0,1.0]",
+    "start.move_with_board=true",
+    "board.truck_stiffness=300",
+]
 RIDE += [f"start.{name}=[0,0]" for name in ("x", "y", "yaw", "roll", "pitch", "height", "lin_vel", "ang_vel")]
 RIDE += ["start.joint_pos=[0,0]", "start.joint_vel=[0,0]", "randomization=none", "episode_length=10.0"]
 RIDE += ["termination.out_of_reach.enabled=false"]

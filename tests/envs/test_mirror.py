@@ -109,7 +109,7 @@ def test_mirrored_worlds_stay_mirrored(fixed: bool, where: list[str]) -> None:
     force = ["start.force=[-5,5]", "start.torque=[-1,1]"]
     config = settings([*where, *force, f"start.board_fixed={float(fixed)}", "observation.history_length=3"])
     task = MountTask(config=config)
-    generator = torch.Generator().manual_seed(5)
+    generator = torch.Generator().manual_seed(7)
     mdp = task.make_mdp(generator)
     physics = CpuPhysics(task.scene, 2, threads=1)
     mirror_trunk(physics, 1)

@@ -14,7 +14,7 @@ from skatemount.config import TrainConfig, compose, compose_program, to_dict
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import NUM_WORLDS
-from skatemount.evaluation.suite_task import EvaluationTask, evaluation_config
+from skatemount.evaluation.suite_task import EvaluationTask, evaluation_config, load_suite
 from skatemount.models.actor_critic import ActorCritic
 from skatemount.runs.checkpoint import save_policy
 from skatemount.utils.errors import ConfigError
@@ -138,7 +138,8 @@ def test_a_task_describes_itself(path: Path) -> None:
     described = task.describe()
     assert (described["overrides"], described["seed"]) == (["start.x=[0,0]"], 4)
     assert (described["stage"], described["suite"], described["frames"]) == ("balance", "mount-fixed", 77)
-    assert described["definition"]["version"] == 1 and described["definition"]["seed"] == 99
+    assert described["definition"]["version"] == load_suite("mount-fixed").version
+    assert described["definition"]["seed"] == 99
     (own,) = prepare(path)
     assert (own.name, own.suite, own.describe()["definition"]) == ("balance", None, None)
 

@@ -104,7 +104,7 @@ def test_a_slow_motion_shows_more_states_of_the_same_episode() -> None:
         times = np.array([frame.time for frame in slow.frames])
         np.testing.assert_allclose(np.diff(times), 0.01)
         moved = np.array([np.abs(b.qpos - a.qpos).max() for a, b in zip(slow.frames, slow.frames[1:], strict=False)])
-        assert (moved > 0).all() and moved.max() < 0.25
+        assert (moved > 0).all() and moved.max() < 1.0
         assert slow.frames[-1].outcome and not any(frame.outcome for frame in slow.frames[:-1])
         assert len(slow.robot) == len(usual.robot) == len(usual.frames)
     assert [trial.variant_of(number)[0] for number in numbers] == ["20ms", "40ms", "0ms"]
