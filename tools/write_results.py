@@ -45,7 +45,7 @@ SHORT = {
     "low-friction": "beside the board, friction at 0.4 to 0.6 of nominal",
     "other-boards": "beside one of ten boards that training did not have",
     "far": "1 to 2 m away; training never went beyond 1.05 m",
-    "pushed": "beside the board, with pushes of up to 0.5 m/s; training had none",
+    "pushed": "beside the board, with pushes of up to 0.25, 0.5, or 0.75 m/s; training had none",
 }
 """The start of each of these suites in a few words."""
 
