@@ -102,7 +102,7 @@ def test_from_training_to_figure_and_not_twice(
     monkeypatch.setattr(sys, "argv", ["compare", *options, *tiny])
     script.main()
     results = json.loads((tmp_path / "results.json").read_text())
-    assert set(results["end"]) == {"auto", "paper", "forward", script.TRANSFER}
+    assert set(results["end"]) == {*script.METHODS, script.TRANSFER} > {"auto", "grown", "mixture", "paper", "forward"}
     assert all(curve[-1]["frames"] >= 320 for curves in results["curves"].values() for curve in curves)
     assert (tmp_path / "table.md").is_file() and (tmp_path / "curves.png").is_file()
 
