@@ -24,7 +24,7 @@ from skatemount import config as configuration
 from skatemount.envs.scene import Scene, SceneIndex
 
 LOWER = 0.02
-"""How much lower than its stance the trunk is held, m."""
+"""Distance between the trunk's height in the stance and the height at which it is held, m."""
 IMPEDANCES = ([0.9, 0.95], [0.95, 0.99], [0.99, 0.999])
 ANGLES = (0.03, 0.06)
 """Outward steps of the hips' targets, rad."""

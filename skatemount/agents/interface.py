@@ -122,7 +122,7 @@ def _other_settings(card: PolicyCard, task: MountTask) -> str:
 
 
 _OF_A_ROBOT = ("default_pose", "scale")
-"""What actions mean for a robot that another one with the same joints may have differently."""
+"""Parts of `action_interface` that differ between robots with the same joints."""
 
 _BEHIND_ACTIONS = {
     "robot": (

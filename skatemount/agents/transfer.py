@@ -96,7 +96,7 @@ def _gives_all_inputs(agent: TrainedPolicy, task: MountTask, where: str) -> bool
 
 
 def _fits_but_for_the_robot(agent: TrainedPolicy, task: MountTask, where: str) -> bool:
-    """Return True if actions mean the same but for what robots with the same joints may have differently."""
+    """Return True if the policy would fit with ``init_from_other_robot=true``."""
     try:
         check_actions(agent.card, task, where, other_robot=True)
     except ConfigError:
