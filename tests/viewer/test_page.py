@@ -35,6 +35,9 @@ def fragile(sim, episode, context):
     return sim.base_pos[:, 2]
 """
 
+CHANGE = "+reward.fragile.weight=1.0"
+TASK = f"mount-unfixed, changed by {CHANGE}"
+
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
@@ -132,13 +135,13 @@ def played(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[P
     folder = tmp_path_factory.mktemp("play")
     (folder / "fragile_term.py").write_text(TERM, encoding="utf-8")
     settings = ["checkpoint=pretrained:unfixed", "suite=mount-unfixed", "worlds=1"]
-    page = Played(browser, folder, *settings, "plugins=[fragile_term]", "+reward.fragile.weight=1.0")
+    page = Played(browser, folder, *settings, "plugins=[fragile_term]", CHANGE)
     yield page
     page.close()
 
 
 def test_the_robot_moves_and_stands_still_while_paused(played: Played) -> None:
-    assert (played.text("policy"), played.text("task")) == ("unfixed", "mount-unfixed")
+    assert (played.text("policy"), played.text("task")) == ("unfixed", TASK)
     first = played.text("robot")
     played.wait("robot", lambda text: text != first)
     canvas = played.page.locator("canvas").first
@@ -181,7 +184,7 @@ def test_another_board_and_another_policy_without_a_restart(played: Played) -> N
     played.pause()
     played.tab("Task")
     played.choose("Board", "mini")
-    assert played.wait("task", lambda text: "mini" in text) == "mount-unfixed, board mini"
+    assert played.wait("task", lambda text: "mini" in text) == f"{TASK}, board mini"
     played.choose("Policy", "zero")
     played.wait("policy", lambda text: text == "zero")
     played.choose("Policy", "pretrained:anywhere")
