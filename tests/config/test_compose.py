@@ -246,6 +246,17 @@ def test_a_curriculum_about_the_board_is_refused_for_the_gait() -> None:
         compose("gait", ["+curriculum=auto"])
 
 
+def test_stages_that_learn_from_scratch_switch_their_curriculum_on() -> None:
+    kinds = {stage: compose(stage).curriculum.kind for stage in choices("stage")}
+    assert {stage for stage, kind in kinds.items() if kind == "auto"} == {"mount", "unfixed"}
+    assert compose("mount").curriculum.free_board_after is None
+    for stage in ("mount", "unfixed"):
+        assert compose(stage).init_from is None
+        plain = compose(stage, ["curriculum=none"])
+        assert (plain.curriculum.kind, plain.init_from, plain.algorithm.final_std) == ("none", "stage", None)
+    assert compose("unfixed", ["experiment=paper"]).curriculum.kind == "none"
+
+
 def test_a_misspelt_setting_is_answered_with_the_nearest() -> None:
     with pytest.raises(ConfigError, match="did you mean total_frames") as error:
         compose("balance", ["total_frame=10"])
