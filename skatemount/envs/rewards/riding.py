@@ -14,6 +14,9 @@ from skatemount.envs.rewards.table import reward
 from skatemount.envs.state import EpisodeState, SimState
 from skatemount.envs.terms import TaskContext
 
+GRAVITY = 9.81
+"""m/s^2, MuJoCo's default."""
+
 
 @reward
 def ride_yaw_rate(sim: SimState, episode: EpisodeState, context: TaskContext, sigma: float = 0.12) -> Tensor:
@@ -49,6 +52,39 @@ def ride_lean(sim: SimState, episode: EpisodeState, context: TaskContext, sigma:
         return _phase(sim, episode)
     target = riding.lean_of_curvature(command[:, 2], sim, context)
     return torch.exp(-((riding.lean_left(sim, episode) - target) / sigma).square()) * command[:, 0]
+
+
+@reward
+def ride_shift(
+    sim: SimState,
+    episode: EpisodeState,
+    context: TaskContext,
+    sigma: float = 0.02,
+    stiffness: float = 0.65,
+    height: float = 0.36,
+) -> Tensor:
+    """Reward a trunk that is shifted as the commanded lean needs: exp(-((y - s) / sigma)^2) during a ride (ours).
+
+    y is the place of the trunk's center across the deck, and s = gamma (K / (m g) - h + v^2 h / (g L)) the shift at
+    which the board leans by gamma: the balance of torques about the board's roll axis, with L the steering length. A
+    trunk shifts faster than a board turns, so this term shows the policy sooner than the others what is better.
+
+    Args:
+        sim: The state.
+        episode: The episode.
+        context: Constants.
+        sigma: Error at which the value falls to 1/e, m.
+        stiffness: K / (m g), the roll stiffness of both trucks over the robot's weight, m. The default is that of
+            ``robot=a1`` on ``board=default``.
+        height: h, the height of the robot's center of mass over the board's roll axis, m.
+    """
+    if (command := episode.ride_command) is None:
+        return _phase(sim, episode)
+    length, _ = context.steering_of(sim)
+    lever = stiffness - height + riding.forward_speed(sim, episode).square() * height / (GRAVITY * length)
+    shift = lever * riding.lean_of_curvature(command[:, 2], sim, context)
+    place = ((sim.base_pos - sim.board_pos) * sim.board_rot[:, :, 1]).sum(1) * episode.board_direction[:, 0]
+    return torch.exp(-((place - shift) / sigma).square()) * command[:, 0]
 
 
 def _phase(sim: SimState, episode: EpisodeState) -> Tensor:
