@@ -168,7 +168,7 @@ def test_composes_while_a_hydra_application_runs(tmp_path: Path) -> None:
 
 
 def test_survives_being_saved() -> None:
-    config = compose("unfixed", ["logger.name=x", "start.step_height=[0,0.05]", "algorithm.target_kl=null"])
+    config = compose("approach", ["logger.name=x", "start.step_height=[0,0.05]", "algorithm.target_kl=null"])
     values = to_dict(config)
     assert from_dict(values) == config
     assert from_dict(json.loads(json.dumps(values))) == config

@@ -107,7 +107,7 @@ def test_a_plus_before_a_group_changes_nothing() -> None:
 def test_old_names_of_settings_still_work() -> None:
     for old, new in RENAMED.items():
         if new in keys(TrainConfig):
-            value = {"algorithm.final_kl": 0.001, "algorithm.settle": 0.5, "collector.enough": 2}.get(old, 0.37)
+            value = {"algorithm.final_kl": 0.001, "algorithm.settle": 0.3, "collector.enough": 2}.get(old, 0.37)
             value = {"collector.steps": 7, "curriculum.memory": 90, "grow": "true"}.get(old, value)
             value = {"curriculum.lowest": 0.001, "curriculum.least": 3, "logger.csv": "false"}.get(old, value)
             assert compose("mount", [f"{old}={value}"]) == compose("mount", [f"{new}={value}"]) != compose("mount")
