@@ -351,8 +351,8 @@ def evaluation_config(
 
 
 def _stage(name: str) -> TrainConfig:
-    """Compose a stage's settings; Hydra's work is cached, as many suites share a stage."""
-    return configuration.compose(name)
+    """Compose a stage's settings without a curriculum; Hydra's work is cached, as many suites share a stage."""
+    return configuration.compose(name, ["curriculum=none"])
 
 
 def _key(override: str) -> str:

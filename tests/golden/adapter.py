@@ -34,13 +34,22 @@ def training_line(line: str) -> str:
     """Return the command line that trains with the physics of that commit; later versions have other defaults."""
     board = _compose(line).board
     physics = ["board.rolling_resistance=0.0", f"board.wheel_friction={board.wheel_friction}", FEET]
-    return " ".join([line, "command.board_point=deck", *physics])
+    return " ".join([_plain(line), "command.board_point=deck", *physics])
+
+
+def _plain(line: str) -> str:
+    """Return a command line whose stage has no curriculum unless the line names one, as in that commit."""
+    stages = ("+stage=mount", "+stage=unfixed")
+    named = "+curriculum=" in line or not line.startswith(stages)
+    return line if named else f"{line} curriculum=none"
 
 
 def _as_then(config: configuration.TrainConfig) -> configuration.TrainConfig:
     """Return settings with the physics of that commit."""
     config.command.board_point = "deck"
     config.physics.foot_impedance = [0.9, 0.95]
+    if config.curriculum.kind == "none":
+        config.curriculum.free_board_after = 0.3
     board = config.board
     if board.rolling_resistance:
         board.rolling_resistance, board.wheel_friction = 0.0, BEARINGS[board.wheel_radius]
@@ -48,7 +57,7 @@ def _as_then(config: configuration.TrainConfig) -> configuration.TrainConfig:
 
 
 def _compose(line: str) -> configuration.TrainConfig:
-    return _as_then(configuration.compose(None, line.split()))
+    return _as_then(configuration.compose(None, _plain(line).split()))
 
 
 def settings(line: str) -> dict[str, Any]:
