@@ -37,7 +37,7 @@ class Watcher(Callback):
 
 def taught(root: Path, *overrides: str) -> tuple[Trainer, Watcher]:
     watcher = Watcher()
-    config = compose("unfixed", [*TAUGHT, f"logger.root={root}", *overrides])
+    config = compose("unfixed", ["curriculum=none", *TAUGHT, f"logger.root={root}", *overrides])
     trainer = Trainer(config, [], callbacks=[watcher])
     trainer.train()
     trainer.close()
