@@ -25,7 +25,7 @@ LAYOUT = JointLayout.of(A1)
 
 @functools.cache
 def _composed() -> TrainConfig:
-    return compose("mount", ["randomization=none"])
+    return compose("mount", ["curriculum=none", "curriculum.free_board_after=0.3", "randomization=none"])
 
 
 def _part(name: str, changes: dict[str, Any]) -> Any:
