@@ -83,7 +83,8 @@ class Tracking:
             evaluator.round(agent.policy, 0, watch)
         finally:
             evaluator.close()
-        return cls(torch.stack(rates), torch.stack(wanted), torch.stack(counted), round(1 / env.mdp.context.control_step))
+        window = round(1 / env.mdp.context.control_step)
+        return cls(torch.stack(rates), torch.stack(wanted), torch.stack(counted), window)
 
     def row(self) -> list[float]:
         """Return error, slow, fast, correlation, gain and counted, as the program prints them."""

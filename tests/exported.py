@@ -72,7 +72,8 @@ commands, boards."""
 @functools.cache
 def policy_config() -> TrainConfig:
     overrides = [
-        "curriculum=none", "observation=history", "+observation.policy.board_age={}", "network.actor=[8]", "network.critic=[8]",
+        "curriculum=none",
+        "observation=history", "+observation.policy.board_age={}", "network.actor=[8]", "network.critic=[8]",
         "physics.threads=1", f"physics.num_worlds={WORLDS}", "episode_length=1.2",
     ]  # fmt: skip
     return compose("mount", overrides)

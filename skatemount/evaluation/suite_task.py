@@ -333,7 +333,7 @@ def evaluation_config(
     changes = [] if suite is None else [*suite.overrides, *variant]
     theirs = {_key(o) for o in overrides}
     changes = [*(o for o in changes if _key(o) not in theirs), *overrides]
-    asked = configuration.to_dict(configuration.compose(stage if known else None, changes))
+    asked = configuration.to_dict(configuration.compose(stage if known else None, ["curriculum=none", *changes]))
 
     result = copy.deepcopy(policy if suite is None else _stage(stage))
     result.robot, result.observation, result.network = policy.robot, policy.observation, policy.network

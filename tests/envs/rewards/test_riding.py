@@ -71,9 +71,7 @@ def test_shift(
     curvature = turn * math.sin(0.1) / STEERING[0]
     # The trunk faces the end x > 0, then the other one: what is on its left is then at y < 0.
     for yaw, sign in ((0.0, 1), (math.pi, -1)):
-        sim = make_state(
-            (0, sign * place, 0.4), (0, 0, yaw), board=(0, 0, 0.088), board_lin_vel=(sign * speed, 0, 0)
-        )
+        sim = make_state((0, sign * place, 0.4), (0, 0, yaw), board=(0, 0, 0.088), board_lin_vel=(sign * speed, 0, 0))
         episode = make_episode(sim)
         episode.ride_command = torch.tensor([[1.0, speed, curvature]])
         assert float(term(sim, episode, context)) == pytest.approx(expected, abs=1e-4)

@@ -51,7 +51,7 @@ ADDED = {
     "feet_on_board_paper", "all_feet_on_board", "feet_proximity", "approach", "distance", "alignment",
     "feet_air_time",
     "orientation_paper",
-    "ride_yaw_rate", "ride_lean",
+    "ride_yaw_rate", "ride_lean", "ride_shift",
 }  # fmt: skip
 
 

@@ -259,7 +259,7 @@ def test_formula(
 
 
 def test_every_term_has_a_case() -> None:
-    of_rides = {"ride_yaw_rate", "ride_lean"}  # test_riding.py has them
+    of_rides = {"ride_yaw_rate", "ride_lean", "ride_shift"}  # test_riding.py has them
     assert {case[0] for case in CASES} | of_rides == set(REWARDS.names())
 
 
