@@ -294,7 +294,7 @@ def test_starts_from_a_runs_policy(trained: RunFolder, tmp_path: Path) -> None:
 
 
 def test_a_policy_taken_over_explores_no_more_widely_than_this_run_allows(trained: RunFolder, tmp_path: Path) -> None:
-    limits = ["network.init_std=0.1", "network.max_std=0.15"]
+    limits = ["curriculum=none", "network.init_std=0.1", "network.max_std=0.15"]
     trainer = Trainer(compose("mount", [*TINY, f"logger.root={tmp_path}", f"init_from={trained.path}", *limits]), [])
     seen = trainer.env.reset()
     trainer.close()
