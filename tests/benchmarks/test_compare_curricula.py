@@ -100,7 +100,7 @@ def test_from_training_to_figure_and_not_twice(
     tiny += ["logger.evaluate_episodes=8", "logger.tensorboard=false", "logger.jsonl=false"]
     methods = ["auto", "paper"]  # one stage, and a chain of stages
     options = ["--frames", "320", "--seeds", "0", "--points", "2", "--episodes", "4", "--out", str(tmp_path)]
-    monkeypatch.setattr(sys, "argv", ["compare", *options, "--methods", *methods, *tiny])
+    monkeypatch.setattr(sys, "argv", ["compare", "--methods", *methods, *options, *tiny])
     script.main()
     results = json.loads((tmp_path / "results.json").read_text())
     assert set(results["end"]) == {*methods, script.TRANSFER}
