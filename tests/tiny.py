@@ -10,6 +10,9 @@ TINY = [
     "collector.steps_per_env=4",
     "network.actor=[16]",
     "network.critic=[16]",
+    # The default is 16 updates of a batch, which take most of the time of such a training.
+    "algorithm.epochs=1",
+    "algorithm.minibatches=2",
     "physics.threads=1",
     "torch_threads=1",
     "episode_length=1.0",

@@ -142,7 +142,8 @@ def test_memory_is_carried_and_reset_the_same_way_in_collection_and_in_whole_seq
 
 
 def test_minibatches_hold_whole_sequences(make: Callable[..., Trainer]) -> None:
-    trainer = make("balance", "network=gru", *SHORT, *SILENT, "total_frames=1e6")
+    updates = ["algorithm.epochs=4", "algorithm.minibatches=4"]
+    trainer = make("balance", "network=gru", *SHORT, *updates, *SILENT, "total_frames=1e6")
     shapes: list[tuple[int, ...]] = []
     step = trainer.algorithm._step  # type: ignore[attr-defined]
 
