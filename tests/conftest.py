@@ -107,6 +107,14 @@ def torch_as_it_was() -> Iterator[None]:
 
 
 @pytest.fixture
+def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trainings draw no learning curves, which takes longer than a tiny training."""
+    from skatemount.training import callbacks
+
+    monkeypatch.setattr(callbacks, "plot_learning_curves", lambda *arguments: None)
+
+
+@pytest.fixture
 def make_env() -> Iterator[Callable[..., MountEnv]]:
     """A batched environment, `make_env(stage, num_worlds, overrides, **arguments of MountEnv)`; closed at the end."""
     from skatemount.envs import MountEnv, MountTask

@@ -25,7 +25,7 @@ from skatemount.training.callbacks import CheckpointCallback
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was")
+pytestmark = pytest.mark.usefixtures("torch_as_it_was", "no_pictures")
 
 Verb = Callable[..., Any]
 

@@ -21,6 +21,8 @@ from skatemount.training.callbacks import Callback
 from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
 
+pytestmark = pytest.mark.usefixtures("no_pictures")
+
 HALF, WHOLE = 3 * BATCH, 6 * BATCH
 
 # Episodes of 0.3 s, so that worlds are reset within the few steps; pushes and gains change with them.

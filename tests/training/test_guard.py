@@ -22,6 +22,8 @@ from skatemount.runs.folder import RunFolder
 from skatemount.training.callbacks import Callback
 from skatemount.training.trainer import Trainer
 
+pytestmark = pytest.mark.usefixtures("no_pictures")
+
 
 class Broken(Callback):
     """Spoils a reward of some iterations."""

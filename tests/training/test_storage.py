@@ -26,17 +26,11 @@ from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import StorageError
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was")
+pytestmark = pytest.mark.usefixtures("torch_as_it_was", "no_pictures")
 
 real_sync = atomic._sync
 
 SAVING = ["logger.checkpoint_every=2", "logger.tensorboard=false"]
-
-
-@pytest.fixture(autouse=True)
-def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw no learning curves, which take longer than the trainings."""
-    monkeypatch.setattr(callbacks, "plot_learning_curves", lambda *arguments: None)
 
 
 class At(Callback):
