@@ -86,18 +86,11 @@ def environment() -> dict[str, str]:
     return {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "200"}
 
 
-def test_multirun_makes_a_run_a_combination(runs_root: Path) -> None:
+def test_multirun_makes_a_run_a_combination(command: Callable[..., Any], runs_root: Path) -> None:
     tiny = [each for each in TINY if not each.startswith("episode_length")]
     arguments = ["-m", "+stage=balance,mount", "seed=0,1", *tiny, "total_frames=32", "init_from=null"]
-    done = subprocess.run(
-        [sys.executable, "-m", "skatemount.train", *arguments],
-        cwd=runs_root.parent,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
+    status, _, err = command(*arguments)
+    assert status == 0, err
     (sweep,) = (runs_root / "skatemount").iterdir()
     names = ["stage=balance,seed=0", "stage=balance,seed=1", "stage=mount,seed=0", "stage=mount,seed=1"]
     made = [RunFolder.open(sweep / name) for name in names]
