@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from holding import HOLD
 from hydra import compose, initialize_config_dir
 from started import start, wait_for
 from tiny import TINY
@@ -132,9 +133,12 @@ def test_a_job_waits_while_another_process_trains_it(
 def test_a_submitted_multirun_is_stopped_and_goes_on(runs_root: Path) -> None:
     pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
     tiny = [each for each in TINY if not each.startswith(("logger.final", "physics.threads", "torch_threads"))]
-    arguments = ["-m", "stage=balance", "init_from=null", "seed=1,2", *tiny, "total_frames=6400",
-                 "logger.final_episodes=4", "logger.checkpoint_every=5", "launcher=submitit_local"]  # fmt: skip
+    arguments = ["-m", "stage=balance", "init_from=null", "seed=1,2", *tiny, "total_frames=320",
+                 "callbacks=[holding:Holds]", "logger.final_episodes=4", "logger.checkpoint_every=5",
+                 "launcher=submitit_local"]  # fmt: skip
 
+    hold = runs_root.parent / HOLD
+    hold.touch()
     process = start("train", runs_root, *arguments)
     try:
         wait_for(process, runs_root, "*/*/seed=[12]/checkpoints/step_*", 2)
@@ -150,16 +154,17 @@ def test_a_submitted_multirun_is_stopped_and_goes_on(runs_root: Path) -> None:
     # They ended with it, and saved all iterations.
     assert all(is_locked(sweep / f"seed={seed}") is False for seed in left)
     frames = {seed: int(str(folder).rpartition("_")[2]) for seed, folder in left.items()}
-    assert all(0 < each < 6400 for each in frames.values())
+    assert all(0 < each < 320 for each in frames.values())
 
+    hold.unlink()
     process = start("train", runs_root, *arguments)
     out, err = process.communicate()
     assert process.returncode == 0, out + err
     assert sweeps(runs_root) == [sweep] and f"output of the jobs: runs/skatemount/{sweep.name}/.submitit\n" in out
     jobs = json.loads((sweep / "results.json").read_text())["jobs"]
     assert [(job["status"], job["steps"], job["run"]) for job in jobs] == [
-        ("finished", 6400, "seed=1"),
-        ("finished", 6400, "seed=2"),
+        ("finished", 320, "seed=1"),
+        ("finished", 320, "seed=2"),
     ]
     logs = "".join(path.read_text() for path in sweep.glob(".submitit/*/*_log.out"))
     assert logs.count("resumes runs/skatemount/") == 2

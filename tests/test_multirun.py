@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import torch
+from holding import HOLD
 from started import start, wait_for
 from tiny import BATCH, TINY
 
@@ -330,11 +331,14 @@ def test_what_failed_is_repeated_and_goes_on_after_a_full_disk(
 def test_a_killed_multirun_resumes_in_processes(launcher: str, runs_root: Path) -> None:
     tiny = [each for each in TINY if not each.startswith("logger.final")]
     arguments = [
-        "-m", "stage=balance", "init_from=null,pretrained:anywhere", "seed=1,2", *tiny, "total_frames=3200",
+        "-m", "stage=balance", "init_from=null,pretrained:anywhere", "seed=1,2", *tiny, "total_frames=320",
         "logger.final_episodes=4", "logger.checkpoint_every=5", f"hydra/launcher={launcher}",
+        "callbacks=[holding:Holds]",
         *(["hydra.launcher.n_jobs=2"] if launcher == "joblib" else []),
     ]  # fmt: skip
 
+    hold = runs_root.parent / HOLD
+    hold.touch()
     process = start("train", runs_root, *arguments)
     try:
         wait_for(process, runs_root, "*/*/init_from=null,seed=1/checkpoints/step_*")
@@ -344,6 +348,7 @@ def test_a_killed_multirun_resumes_in_processes(launcher: str, runs_root: Path) 
     (sweep,) = sweeps(runs_root)
     assert not (sweep / "results.json").exists()
 
+    hold.unlink()
     process = start("train", runs_root, *arguments)
     out, err = process.communicate()
     assert process.returncode == 1, err
@@ -351,8 +356,8 @@ def test_a_killed_multirun_resumes_in_processes(launcher: str, runs_root: Path) 
     assert sweeps(runs_root) == [sweep]
     jobs = json.loads((sweep / "results.json").read_text())["jobs"]
     assert [(job["status"], job["steps"], job["run"]) for job in jobs] == [
-        ("finished", 3200, "init_from=null,seed=1"),
-        ("finished", 3200, "init_from=null,seed=2"),
+        ("finished", 320, "init_from=null,seed=1"),
+        ("finished", 320, "init_from=null,seed=2"),
         ("failed", None, None),
         ("failed", None, None),
     ]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from holding import HOLD
 from started import start, wait_for
 from tiny import BATCH, TINY
 
@@ -183,16 +184,19 @@ def test_two_processes_share_a_search_and_take_over_a_killed_one(runs_root: Path
     pytest.importorskip("optuna")
     tiny = [each for each in TINY if not each.startswith("logger.final")]
     arguments = [
-        "stage=balance", "init_from=null", SPACE, *tiny, "search.trials=4", "total_frames=1600",
-        "logger.final_episodes=4", "logger.checkpoint_every=5",
+        "stage=balance", "init_from=null", SPACE, *tiny, "search.trials=4", "total_frames=640",
+        "logger.final_episodes=4", "logger.checkpoint_every=5", "callbacks=[holding:Holds]",
     ]  # fmt: skip
 
+    hold = runs_root.parent / HOLD
+    hold.touch()
     killed = start("search", runs_root, *arguments)
     try:
         wait_for(killed, runs_root, "*/*/trial_001/checkpoints/step_*")
     finally:
         os.killpg(killed.pid, signal.SIGKILL)
         killed.communicate()
+    hold.unlink()
     processes = [start("search", runs_root, *arguments) for _ in range(2)]
     ended = [(process.communicate(), process.returncode) for process in processes]
     assert [status for _, status in ended] == [0, 0], ended
