@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import sys
 from pathlib import Path
@@ -14,19 +13,15 @@ import pytest
 import torch
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
+from scripts import load_script
 
 from skatemount.runs.checkpoint import POLICY_FILE, PolicyCard, save_policy
 from skatemount.runs.folder import RunFolder
 
 
 @pytest.fixture(scope="module")
-def script(repo_root: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("compare", repo_root / "benchmarks" / "compare_curricula.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # its dataclasses look themselves up
-    spec.loader.exec_module(module)
-    return module
+def script() -> ModuleType:
+    return load_script("benchmarks/compare_curricula.py")
 
 
 def checkpoints(run: RunFolder, stage: str, *frames: int) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import subprocess
 import sys
@@ -11,6 +10,7 @@ from types import ModuleType
 
 import pytest
 import torch
+from scripts import load_script
 
 from skatemount.config import compose
 from skatemount.envs import MountTask
@@ -19,12 +19,8 @@ from skatemount.training.setup import make_networks
 
 
 @pytest.fixture(scope="module")
-def script(repo_root: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("learner_parts", repo_root / "benchmarks" / "learner_parts.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def script() -> ModuleType:
+    return load_script("benchmarks/learner_parts.py")
 
 
 def test_every_variant_makes_the_same_update(script: ModuleType) -> None:

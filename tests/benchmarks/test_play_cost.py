@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from scripts import load_script
 
 
 @pytest.fixture(scope="module")
-def play_cost() -> Iterator[ModuleType]:
-    path = Path(__file__).resolve().parents[2] / "benchmarks" / "play_cost.py"
-    spec = importlib.util.spec_from_file_location("play_cost", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    # Its dataclass looks there for its module.
-    sys.modules["play_cost"] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules["play_cost"]
+def play_cost() -> ModuleType:
+    return load_script("benchmarks/play_cost.py")
 
 
 def test_a_turn_is_compared_with_its_neighbors_without_the_program(play_cost: ModuleType) -> None:

@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
-from pathlib import Path
 from types import ModuleType
 
 import pytest
 import torch
+from scripts import load_script
 
 
 @pytest.fixture(scope="module")
-def script(repo_root: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("ride_tracking", repo_root / "benchmarks" / "ride_tracking.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # its dataclass looks itself up
-    spec.loader.exec_module(module)
-    return module
+def script() -> ModuleType:
+    return load_script("benchmarks/ride_tracking.py")
 
 
 def test_a_wobble_is_fast_and_a_gain_is_slow(script: ModuleType) -> None:

@@ -6,7 +6,6 @@ The output that a page shows must have the lines that the command prints today; 
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import json
 import os
 import re
@@ -21,6 +20,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from scripts import load_script
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "docs" / "quickstart.md", ROOT / "docs" / "gallery.md", *sorted((ROOT / "docs/tutorials").glob("*.md"))]
@@ -58,12 +58,7 @@ REFUSED = {"skatemount train --config-dir conf stage=balance board=lab_wide boar
 
 @pytest.fixture(scope="module")
 def run_page() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("run_page", ROOT / "tools" / "run_page.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["run_page"] = module
-    spec.loader.exec_module(module)
-    return module
+    return load_script("tools/run_page.py")
 
 
 @pytest.fixture(scope="module")

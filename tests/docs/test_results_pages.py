@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
-import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
+from scripts import load_script
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
 def write_results() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("write_results", ROOT / "tools" / "write_results.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["write_results"] = module
-    spec.loader.exec_module(module)
-    return module
+    return load_script("tools/write_results.py")
 
 
 def evaluation(suite: str = "mount-fixed", successes: int = 3, episodes: int = 4) -> dict[str, Any]:
