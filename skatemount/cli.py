@@ -16,7 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from skatemount import launchers, multirun
 from skatemount.config import config_dir, set_user_config_dir, stages, suites, user_config_dir
 from skatemount.config.compose import checked, composed_values, plain
-from skatemount.config.messages import is_of_library, reason
+from skatemount.config.messages import as_written, is_of_library, reason
 from skatemount.config.overrides import check_option, is_hydras, prepare, read
 from skatemount.config.own_files import check_own_files
 from skatemount.config.unused import check_used
@@ -41,11 +41,12 @@ def run(verb: Callable[..., float | None], program: str) -> None:
     # Without this Hydra prints a screen of its own and ends the program itself.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     ignore_library_warnings()
+    given = sys.argv[1:]
 
     def fail(error: Exception) -> NoReturn:
         if os.environ.get("SKATEMOUNT_TRACEBACK"):
             raise error
-        print(f"skatemount.{program}: {reason(error)}", file=sys.stderr)
+        print(f"skatemount.{program}: {as_written(reason(error), given)}", file=sys.stderr)
         sys.exit(2)
 
     @hydra.main(config_path=str(config_dir().absolute()), config_name=program, version_base="1.3")

@@ -49,6 +49,10 @@ def record(config: RecordConfig, overrides: list[str]) -> None:
         raise ConfigError(f"suite={config.suite.name}: name one to film, of {', '.join(config.suite.members)}")
     prepare_outputs(None, config.output)
     (trial,) = EvaluationTask.prepare(config, overrides)
+    longest = max(each.episode_length for each in trial.configs.values())
+    if film.start >= longest:
+        # An episode may end earlier, which only playing it tells.
+        raise ConfigError(f"film.start={film.start:g} must be below {longest:g} s, the length of an episode")
     began = time.perf_counter()
     parts = films.parts_of(film, next(iter(trial.configs.values())).physics)
     episodes, said, name = choose_episodes(trial, config, parts)

@@ -17,7 +17,7 @@ from skatemount.utils.errors import ConfigError
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ("page.suites=[own,nope]", "page.suites=nope: there is no suite nope; there are: "),
+        ("page.suites=[own,nope]", "page.suites=[own,nope]: there is no suite nope; there are: own, "),
         ("page.suites=[own,own]", "page.suites: own is there twice"),
         ("page.suites=own", "page.suites=own must be a list such as [a, b] or null"),
         ("page.films=-1", "page.films=-1 must be 0 (none) or from 1 to 10"),

@@ -19,7 +19,7 @@ from skatemount.config.files import check_choice, config_dirs, user_config_dir, 
 from skatemount.config.files import config_dir as package_config_dir
 from skatemount.config.keys import in_words, is_known, keys, unknown
 from skatemount.config.messages import one_line
-from skatemount.config.overrides import prepare
+from skatemount.config.overrides import prepare, refuse_text
 from skatemount.config.own_files import check_own_files, with_path, with_place
 from skatemount.config.plugins import import_classes, import_plugins, require_classes, require_plugins
 from skatemount.config.programs import PROGRAMS
@@ -44,8 +44,9 @@ def compose(
             it for the whole process, which evaluations and chains need.
 
     Raises:
-        ConfigError: An unknown stage, setting or value.
+        ConfigError: An unknown stage, setting or value, or overrides that are a text and no list.
     """
+    refuse_text(overrides)
     with using_config_dir(config_dir):
         if stage is not None:
             check_choice("stage", stage)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -154,9 +154,23 @@ def check_choice(group: str, name: str) -> None:
         raise ConfigError(f"{group}={name}: {no_choice(group, name)}")
 
 
-def no_choice(group: str, name: str) -> str:
-    """Return the error for a name that a group does not have, with a suggestion and the names that there are."""
-    known = choices(group)
+def is_several(suite: str) -> bool:
+    """Return whether a suite stands for several others; a file that cannot be read stands for none."""
+    try:
+        return bool(load_file("suite", suite).get("members"))
+    except ConfigError:
+        return False
+
+
+def no_choice(group: str, name: str, known: Sequence[str] | None = None) -> str:
+    """Return the error for a name that a group does not have, with a suggestion and the names that there are.
+
+    Args:
+        group: The group.
+        name: The name.
+        known: Names that can be chosen; None for all of the group's files.
+    """
+    known = choices(group) if known is None else known
     # A part of a name means it more often than a name that looks alike.
     close = [each for each in known if name and name in each.split("-")] or difflib.get_close_matches(name, known, n=2)
     hint = f" (did you mean {' or '.join(close)}?)" if close else ""

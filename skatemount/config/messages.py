@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+
 from skatemount.utils.errors import ConfigError, StorageError, advice
 
 
@@ -41,6 +44,29 @@ def one_line(error: BaseException) -> str:
             text += f" ({keys[0]})"
         said.append(text)
     return ": ".join(said)
+
+
+def as_written(text: str, overrides: Sequence[str]) -> str:
+    """Return an error's message with values as the user wrote them, such as ``speed=8`` for ``speed=8.0``.
+
+    Args:
+        text: The message.
+        overrides: Settings of the command line, ``key=value``.
+    """
+    for override in overrides:
+        key, equals, value = override.lstrip("+").partition("=")
+        found = re.match(rf"{re.escape(key)}=(\[[^\]]*\]|\S+)(?= )", text)
+        if equals and found is not None and found[1] != value and _numbers(found[1]) == _numbers(value) != []:
+            text = f"{key}={value}{text[found.end() :]}"
+    return text
+
+
+def _numbers(value: str) -> list[float]:
+    """Return a number or a list of them as numbers; empty for anything else."""
+    try:
+        return [float(part) for part in value.strip("[] ").split(",")]
+    except ValueError:
+        return []
 
 
 def reason(error: BaseException) -> str:

@@ -13,11 +13,11 @@ from hydra.core.override_parser.types import Override as HydraOverride
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
 
-from skatemount.config.files import LAYERS, choices, groups, no_choice
+from skatemount.config.files import LAYERS, choices, groups, is_several, no_choice
 from skatemount.config.keys import is_known, keys, suggestions, table_of, unknown
 from skatemount.config.programs import PROGRAMS
 from skatemount.config.versions import rename_override
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.errors import ConfigError, brief
 
 _WHOLE_FLOAT = re.compile(r"[+-]?\d[\d_]*(\.\d*)?[eE]\+?\d+|[+-]?\d[\d_]*\.0*")
 
@@ -47,6 +47,9 @@ says."""
 
 _TEXT_LISTS = frozenset(["page.results", "runs"])
 """Settings whose values are lists of paths and names."""
+
+ONE_SUITE = ("play", "record")
+"""Programs that take a single suite, and refuse ``suite=all`` themselves."""
 
 _RANGES = "search.space."
 """Beginning of the keys whose values are ranges of a search."""
@@ -87,6 +90,12 @@ class Override:
     def group(self) -> str:
         """The key without ``@package``, which a group may have."""
         return self.key.partition("@")[0]
+
+
+def refuse_text(overrides: Sequence[str]) -> None:
+    """Raise `ConfigError` for overrides that are one text, of which each letter would be an override."""
+    if isinstance(overrides, str):
+        raise ConfigError(f"overrides={brief(repr(overrides))} must be a list of settings: overrides=[{overrides!r}]")
 
 
 def prepare(overrides: Sequence[str], program: str, multirun: bool = False) -> list[str]:
@@ -223,8 +232,14 @@ def _prepared(override: Override, written: str, program: str) -> str:
     if is_hydras(written):
         return override.written
     if override.group in groups(program):
-        _check_choices(override, written)
+        _check_choices(override, written, program)
         return override.written.lstrip("+")
+    is_choice = override.value is not None and not override.value.startswith("{")
+    if is_choice and override.group in groups() and is_known(schema, key):
+        # Hydra would say that it has no match in a list of defaults.
+        owners = ", ".join(name for name in PROGRAMS if override.group in groups(name))
+        settings = ", ".join(each for each in keys(schema) if each.startswith(f"{key}."))
+        raise ConfigError(f"{written}: not a setting of {program}, but of {owners}; {program} has {settings}")
     if not is_known(schema, key):
         raise ConfigError(unknown(program, key, written))
     if override.value is None:
@@ -250,35 +265,48 @@ def _check_searched(key: str, written: str) -> None:
         raise ConfigError(unknown("train", key, written))
 
 
-def _check_choices(override: Override, written: str) -> None:
+def _check_choices(override: Override, written: str, program: str) -> None:
     """Raise `ConfigError` unless every choice, of a sweep too, is one file of the group."""
     if override.value is None:
         return
-    known = choices(override.group)
+    known = all_of_them = choices(override.group)
+    if override.group == "suite" and program in ONE_SUITE:
+        known = [name for name in known if not is_several(name)]
     for each in _CHOICE.findall(override.value):
         names = [each]
         if each.strip().startswith("["):
             names = [name.strip().strip("'\"") for name in each.strip("[] ").split(",") if name.strip()]
             if len(names) != 1 and not (names and override.group in LAYERS):
-                raise ConfigError(f"{written}: {_no_list(override.group, names)}")
+                raise ConfigError(f"{written}: {_no_list(override.group, names, known, program)}")
         for name in (name.strip().strip("'\"") for name in names):
             if override.group == "suite" and name == "null":
                 raise ConfigError(f"{written}: leave suite out for the task that the policy was trained in")
-            if name not in known and name != "null" and not name.startswith(("glob(", "choice(")):
-                raise ConfigError(f"{written}: {no_choice(override.group, name)}")
+            if name not in all_of_them and name != "null" and not name.startswith(("glob(", "choice(")):
+                raise ConfigError(f"{written}: {no_choice(override.group, name, known)}")
 
 
-def _no_list(group: str, names: Sequence[str]) -> str:
-    """Return the error for a list of a group's files."""
+def _no_list(group: str, names: Sequence[str], known: Sequence[str], program: str) -> str:
+    """Return the error for a list of a group's files.
+
+    Args:
+        group: The group.
+        names: The list.
+        known: Files that the program takes.
+        program: The program.
+    """
     if not names:
-        return f"names no {group}; give one, of {', '.join(choices(group))}"
+        return f"names no {group}; give one, of {', '.join(known)}"
     listed = ",".join(names)
-    several = f"-m {group}={listed} runs once with each"
-    if group == "suite":
-        several += ", suite=all has all but those of riding"
+    several = [] if program in _ONCE else [f"-m {group}={listed} runs once with each"]
+    if group == "suite" and program not in ONE_SUITE:
+        several.append("suite=all has all but those of riding")
     elif group == "logger":
-        several = f'several loggers are "logger.loggers=[{listed}]"'
-    return f"{group} takes one name, and of a list the last would win; {several}"
+        several = [f'several loggers are "logger.loggers=[{listed}]"']
+    return f"{group} takes one name, and of a list the last would win; {', '.join(several) or 'give one of them'}"
+
+
+_ONCE = ("export", "play", "report", "search")
+"""Programs that nobody runs once for each of several choices: their jobs would write over each other."""
 
 
 def _is_whole(hint: object) -> bool:

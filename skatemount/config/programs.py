@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from skatemount.config.bench import BenchConfig
@@ -15,6 +16,9 @@ from skatemount.config.suite import SuiteConfig
 from skatemount.envs.config.task import TaskConfig
 from skatemount.utils.bounds import number
 from skatemount.utils.errors import ConfigError
+
+MAX_WORLDS = 256
+"""Most worlds of `python -m skatemount.play`."""
 
 AGENTS = ("trained", "zero", "random")
 VIEWERS = ("auto", "page", "native")
@@ -130,7 +134,7 @@ class PlayConfig(PolicyConfig):
     run: str | None
     watch: bool
     agent: str
-    worlds: int = field(metadata=number(1, 256))
+    worlds: int = field(metadata=number(1, MAX_WORLDS))
     speed: float = field(metadata=number(1 / 16, 4, why="0.5 plays at half speed"))
     viewer: str
     host: str
@@ -267,6 +271,10 @@ class ReportConfig(TaskConfig):
                 f"page.suites=[{','.join(self.page.suites)}] with paper=true: that page shows results that exist; "
                 "leave page.suites out, or name files of results in page.results"
             )
+        for name in ("run", "against", "sweep"):
+            value = getattr(self, name) or ""
+            if value.startswith("[") and value.endswith("]") and not Path(value).exists():
+                raise ConfigError(f"{name}={value}: takes one name; runs={value} compares several")
         if len(self.runs) == 1:
             raise ConfigError(f"runs=[{self.runs[0]}] must name at least two runs; run={self.runs[0]} reports one")
 

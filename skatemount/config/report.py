@@ -40,6 +40,7 @@ class PageConfig:
             raise ConfigError(f"{where}.film_width={self.film_width} must be a multiple of 8 pixels")
         for name in self.suites or []:
             if name != OWN and name not in choices("suite"):
-                raise ConfigError(f"{where}.suites={name}: {no_choice('suite', name)}, {OWN}")
+                known = [OWN, *choices("suite")]
+                raise ConfigError(f"{where}.suites=[{','.join(self.suites or [])}]: {no_choice('suite', name, known)}")
             if (self.suites or []).count(name) > 1:
                 raise ConfigError(f"{where}.suites: {name} is there twice")

@@ -76,8 +76,12 @@ def _record(config: RecordConfig, key: str) -> str | None:
 
 
 def _export(config: ExportConfig, key: str) -> str | None:
-    if config.format == "torch" and (key in ("suite", "episodes", "seed") or key.startswith("suite.")):
+    top = key.partition(".")[0]
+    of_starts = top == "suite" or top in _OF_TASK or top == "task"
+    if config.format == "torch" and (of_starts or key in ("episodes", "seed")):
         return "with format=torch: only format=onnx has start states; leave out one of the two"
+    if config.episodes == 0 and of_starts:
+        return "with episodes=0: it is for start states, and there are none; leave out one of the two"
     if key == "switch_distance":
         return "is for two policies, and an export is for one"
     return None
@@ -88,6 +92,9 @@ _OF_TASK = {each.name for each in dataclasses.fields(TaskConfig)} - {"physics", 
 
 
 def _report(config: ReportConfig, key: str) -> str | None:
+    # The page would be about the newest run.
+    if key == "runs" and not config.runs or key in ("run", "against", "sweep") and getattr(config, key) == "":
+        return "names no run; give some, or leave it out"
     several = f"sweep={config.sweep}" if config.sweep is not None else "runs=" if config.runs else None
     evaluates = not config.paper and bool(config.page.suites if config.page.suites is not None else several is None)
     instead = "paper=true" if config.paper else several or "page.suites=[]"

@@ -60,6 +60,8 @@ def find_checkpoint(spec: str, root: Path | str = Path("runs"), setting: str = "
         if is_sweep(path):
             runs = [str(run) for run in sorted(path.iterdir()) if is_run(run)]
             raise ConfigError(f"{setting}={spec}: a sweep; name one of its runs: {_choices(runs)}")
+    if spec.startswith("[") and spec.endswith("]"):
+        raise ConfigError(f"{setting}={spec}: takes one name")
     if policies and shipped_file(spec) is not None:
         raise ConfigError(f"{setting}={spec}: not found; did you mean {PRETRAINED}{spec}?")
     names = [str(run) for run in itertools.islice(runs_with_checkpoints(root), 3)]

@@ -17,6 +17,9 @@ from typing import Any
 
 from skatemount.utils.errors import ConfigError, brief, check_range
 
+UNREACHED = 10**11
+"""Upper bounds from here on only keep a number in its type."""
+
 KEY = "bounds"
 """Name of the bounds in a field's metadata."""
 
@@ -55,10 +58,16 @@ class Bounds:
         enough = value > self.low if self.above else value >= self.low
         return enough and (value < self.high if self.below else value <= self.high)
 
-    @property
-    def words(self) -> str:
-        """The values as words for a message, such as ``from 1 to 1000``."""
+    def words(self, value: Any = None) -> str:
+        """Return the values as words for a message, such as ``from 1 to 1000``.
+
+        Args:
+            value: A value that is out of bounds. A bound that nobody reaches is named only to who has passed it.
+        """
         low, high = _shown(self.low), _shown(self.high)
+        if self.high >= UNREACHED and not self.above and not self.below and not self.zero:
+            passed = isinstance(value, int | float) and value > self.high
+            return f"at most {self.high} {self.unit}".rstrip() if passed else f"{low} {self.unit}".rstrip() + " or more"
         if self.zero:
             text = f"0 ({self.zero}) or from {low} to {high}" if self.low != 0 else f"0 ({self.zero}) to {high}"
         elif self.above or self.below:
@@ -75,7 +84,9 @@ class Bounds:
             value: Its value, a list if `shape` is not ``number``.
         """
         whose = {"number": "", "interval": "[low, high], both ", "each": "a list of numbers, each "}[self.shape]
-        refused = ConfigError(f"{where}={brief(value)} must be {whose}{self.words}{self.why and f'; {self.why}'}")
+        refused = ConfigError(
+            f"{where}={brief(value)} must be {whose}{self.words(value)}{self.why and f'; {self.why}'}"
+        )
         parts = [value] if self.shape == "number" else value
         if not isinstance(parts, list | tuple):
             raise refused

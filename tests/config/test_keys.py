@@ -148,17 +148,23 @@ def test_options_of_hydra_are_left_alone(option: str) -> None:
     ("override", "expected"),
     [
         ("board=lngboard", r"^board=lngboard: there is no board lngboard \(did you mean longboard\?\); there are: "),
+        ("suite=nosuch", r"there are: approach-fixed"),
         ("+stage=mouunt", r"there is no stage mouunt \(did you mean mount"),
     ],
 )
 def test_a_wrong_choice_has_a_suggestion(override: str, expected: str) -> None:
     with pytest.raises(ConfigError, match=expected):
-        prepare([override], "train")
+        prepare([override], "play" if override.startswith("suite") else "train")
 
 
 LISTS: list[tuple[str, str, str | None]] = [
     ("evaluate", "suite=[far,hold]", "suite takes one name, and of a list the last would win; -m suite=far,hold runs"),
-    ("record", "suite=['far', \"hold\"]", "suite takes one name"),
+    ("record", "suite=['far', \"hold\"]", "suite takes one name, and of a list the last would win; -m suite=far,hold"),
+    ("play", "suite=[far,hold]", "suite takes one name, and of a list the last would win; give one of them"),
+    ("play", "suite=[]", "suite=[]: names no suite; give one, of approach-fixed"),
+    ("export", "suite=[far,hold]", "of a list the last would win; suite=all has all but those of riding"),
+    ("evaluate", "logger=wandb", "not a setting of evaluate, but of train, bench, search; evaluate has logger.root"),
+    ("play", "board=[mini,carver]", "board takes one name, and of a list the last would win; give one of them"),
     ("evaluate", "suite=[far],[hold,far]", "suite takes one name"),
     ("evaluate", "suite=[]", "suite=[]: names no suite; give one, of all, approach-fixed"),
     ("train", "logger=[wandb,trackio]", 'several loggers are "logger.loggers=[wandb,trackio]"'),

@@ -11,6 +11,7 @@ from skatemount.utils.errors import ConfigError
 
 NATIVE = "with viewer=native: only the page has it; leave out one of the two"
 TORCH = "with format=torch: only format=onnx has start states; leave out one of the two"
+NO_STARTS = "with episodes=0: it is for start states, and there are none; leave out one of the two"
 
 REFUSED = [
     ("evaluate", "switch_distance=0.6", "needs two policies, such as pipeline=gait+anywhere"),
@@ -30,6 +31,14 @@ REFUSED = [
     ("export", "suite=far format=torch", TORCH),
     ("export", "episodes=10 format=torch", TORCH),
     ("export", "seed=1 format=torch", TORCH),
+    ("export", "start.x=[0,1] format=torch", TORCH),
+    ("export", "suite=far episodes=0", NO_STARTS),
+    ("export", "start.x=[0,1] episodes=0", NO_STARTS),
+    ("export", "board=mini episodes=0", NO_STARTS),
+    ("report", "runs=[]", "names no run; give some, or leave it out"),
+    ("report", "runs=[] paper=true", "names no run"),
+    ("report", "run=", "names no run"),
+    ("report", "against=", "names no run"),
     ("report", "page.episodes=64 sweep=s", "with sweep=s: nothing is evaluated; page.suites=[own] evaluates the task"),
     ("report", "page.episodes=64 runs=[a,b]", "with runs=: nothing is evaluated"),
     ("report", "page.episodes=64 page.suites=[]", "with page.suites=[]: nothing is evaluated"),
@@ -51,6 +60,7 @@ TAKEN = [
     ("play", "worlds=2 speed=0.5 viewer=native"),
     ("export", "suite=far episodes=10 seed=1"),
     ("export", "format=torch output=here"),
+    ("export", "episodes=0 seed=1 output=here physics.threads=1"),
     ("report", "page.episodes=64 page.films=1 page.film_width=320 page.megabytes=5"),
     ("report", "sweep=s page.suites=[own] page.episodes=64 page.films=0"),
     ("report", "paper=true page.films=0 physics.threads=1"),
