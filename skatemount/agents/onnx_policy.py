@@ -17,7 +17,7 @@ from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.task import MountTask
 from skatemount.runner.folder import Graph, RunnerError
 from skatemount.runs.checkpoint import PolicyCard
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.errors import ConfigError, check_name
 
 
 class OnnxActor:
@@ -45,19 +45,20 @@ class OnnxActor:
         return act
 
 
-def load_onnx(path: Path, where: str) -> tuple[OnnxActor, Any, PolicyCard]:
+def load_onnx(path: Path, where: str) -> tuple[OnnxActor, Any, PolicyCard, str]:
     """Load a policy from an ONNX file whose metadata has a card.
 
     Args:
         path: The file. Its text ``card`` is JSON with ``settings``, all settings of a training, which name the
-            observation, the robot, and the control rate.
+            observation, the robot, and the control rate, and ``policy`` with its ``name``, which may be missing.
         where: Name of the policy in messages.
 
     Returns:
-        The actor, the settings, and the card.
+        The actor, the settings, the card, and the policy's name; "" without one.
 
     Raises:
-        ConfigError: The file cannot be read, has no card, or its sizes are not those of the card's task.
+        ConfigError: The file cannot be read, has no card, or its sizes are not those of the card's task,
+            or its name cannot be part of a file's name.
     """
     try:
         graph = Graph(path)
@@ -67,11 +68,14 @@ def load_onnx(path: Path, where: str) -> tuple[OnnxActor, Any, PolicyCard]:
         raise ConfigError(f"{where}: needs an input observation and an output action; it has {', '.join(graph.shapes)}")
     try:
         card = json.loads(graph.metadata["card"])
-        settings, policy = card["settings"], card.get("policy", {})
+        settings, policy = card["settings"], dict(card.get("policy", {}))
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         raise ConfigError(
             f"{where}: its metadata has no card with settings; docs/export.md says how to add one"
         ) from error
+    # "run/checkpoint" is a name, too; files of it have no slash.
+    name = str(policy.get("name", ""))
+    check_name(f"{where}: policy.name of its card", name.replace("/", "_"))
     config = configuration.from_dict(settings, own=False, where=f"{where}: settings of its card")
     task = MountTask(config=config)
     layout = observation_layout(task)
@@ -91,7 +95,7 @@ def load_onnx(path: Path, where: str) -> tuple[OnnxActor, Any, PolicyCard]:
         versions=dict(card.get("versions", {})),
         sha256=str(policy.get("weights_sha256", "")),
     )
-    return OnnxActor(graph), config, made
+    return OnnxActor(graph), config, made, name
 
 
 def add_card(model: Path, output: Path, settings: dict[str, Any], name: str) -> None:

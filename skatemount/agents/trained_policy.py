@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,13 +36,15 @@ class TrainedPolicy:
         networks: Actor and critic.
         config: All settings of its training.
         card: Its card: stage, interface, frames, metrics, versions.
-        path: Checkpoint folder or ``.safetensors`` file that it was loaded from.
+        path: Checkpoint folder or file that it was loaded from.
+        own_name: Name that its file has inside, as an ``.onnx`` file has; "" for the name of its path.
     """
 
     networks: Networks
     config: TrainConfig
     card: PolicyCard
     path: Path
+    own_name: str = field(default="", kw_only=True)
 
     @classmethod
     def load(cls, spec: str, root: Path | str = "runs", setting: str = "checkpoint") -> TrainedPolicy:
@@ -65,9 +67,9 @@ class TrainedPolicy:
         if path.suffix == ".onnx":
             from skatemount.agents.onnx_policy import load_onnx  # it needs onnxruntime
 
-            actor, config, card = load_onnx(path, f"{setting}={spec}")
+            actor, config, card, name = load_onnx(path, f"{setting}={spec}")
             # An actor only: it can be evaluated and filmed, but nothing is trained from it.
-            return cls(actor, config, card, path)  # type: ignore[arg-type]
+            return cls(actor, config, card, path, own_name=name)  # type: ignore[arg-type]
         modules, card = load_policy(path)
         where = f"{setting}={spec}: saved settings"
         config = configuration.from_dict(card.config, own=is_own_run(path, root), where=where)
@@ -108,7 +110,9 @@ class TrainedPolicy:
 
     @property
     def name(self) -> str:
-        """Name for tables and files: run and checkpoint, or the file's name."""
+        """Name for tables and files: its own, run and checkpoint, or the file's name."""
+        if self.own_name:
+            return self.own_name
         if self.path.parent.name == "checkpoints":
             return f"{self.path.parent.parent.name}/{self.path.name}"
         return self.path.stem

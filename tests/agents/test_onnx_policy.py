@@ -34,7 +34,7 @@ def standing(path: Path, size: int, output: str = "action") -> Path:
 
 def test_an_exported_policy_is_evaluated_as_the_original() -> None:
     agent = TrainedPolicy.load(str(exported.folder() / "policy.onnx"))
-    assert (agent.name, agent.card.stage) == ("policy", "mount")
+    assert (agent.name, agent.card.stage) == (exported.agent().name, "mount")
     original = exported.suite_task("stand")
     task = EvaluationTask(agent, "stand", original.suite, original.configs, [], 0)
     ours, theirs = task.evaluate(4), original.evaluate(4)
@@ -50,16 +50,28 @@ def test_a_policy_with_the_papers_layout_at_50_hz(tmp_path: Path) -> None:
     result = EvaluationTask.of(agent, None, ["physics.num_worlds=2", "physics.threads=1"]).evaluate(2)
     assert result.episodes == 2
     assert result.evaluated["control_step"] == pytest.approx(0.02)
+    assert result.evaluated["checkpoint"] == agent.name == "theirs"
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"), [("", "with_card"), ("my_run/checkpoint_000010", "my_run/checkpoint_000010")]
+)
+def test_its_name_is_that_of_its_card(name: str, shown: str, tmp_path: Path) -> None:
+    settings = to_dict(compose("mount", ["observation=paper"]))
+    add_card(standing(tmp_path / "plain.onnx", 137), tmp_path / "with_card.onnx", settings, name)
+    assert TrainedPolicy.load(str(tmp_path / "with_card.onnx")).name == shown
 
 
 def mistakes(tmp_path: Path) -> dict[str, tuple[Path, str]]:
     settings: dict[str, Any] = to_dict(exported.policy_config())
     plain = standing(tmp_path / "plain.onnx", 137)
     add_card(plain, tmp_path / "size.onnx", settings, "other")
+    add_card(plain, tmp_path / "name.onnx", settings, "/../../theirs\n")
     (tmp_path / "text.onnx").write_text("nothing")
     return {
         "no card": (plain, "its metadata has no card with settings"),
         "size": (tmp_path / "size.onnx", "reads observations of shape [137], the settings of its card give"),
+        "name": (tmp_path / "name.onnx", "policy.name of its card='_.._.._theirs\\n' must be a name"),
         "no graph": (tmp_path / "text.onnx", "onnxruntime cannot read it"),
         "output": (
             standing(tmp_path / "output.onnx", 137, "torque"),
@@ -68,7 +80,7 @@ def mistakes(tmp_path: Path) -> dict[str, tuple[Path, str]]:
     }
 
 
-@pytest.mark.parametrize("case", ["no card", "size", "no graph", "output"])
+@pytest.mark.parametrize("case", ["no card", "size", "name", "no graph", "output"])
 def test_a_file_that_cannot_be_used(case: str, tmp_path: Path) -> None:
     path, expected = mistakes(tmp_path)[case]
     with pytest.raises(ConfigError) as error:
