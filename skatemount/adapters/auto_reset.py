@@ -12,6 +12,8 @@ from torch import Tensor
 
 from skatemount.config import TrainConfig, compose
 from skatemount.envs import MountEnv, MountTask
+from skatemount.envs.config.physics import PhysicsConfig
+from skatemount.utils.bounds import bounds_of
 
 
 @dataclass
@@ -72,7 +74,10 @@ class AutoResetEnv:
         seed: int = 0,
         config: TrainConfig | None = None,
     ):
-        self.config = compose(stage, list(overrides)) if config is None else config
+        self.config = compose(stage, overrides) if config is None else config
+        if num_envs is not None:
+            # A setting of the physics, which the caller knows by another name.
+            bounds_of(PhysicsConfig)["num_worlds"].check("num_envs", num_envs)
         self.env = MountEnv(MountTask(config=self.config), num_worlds=num_envs, seed=seed, random_phase=True)
         self._last: TensorDictBase | None = None
 

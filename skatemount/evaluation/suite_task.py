@@ -20,6 +20,7 @@ from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import PolicyConfig, TrainConfig
 from skatemount.config.files import choices, find_file, load_file
 from skatemount.config.keys import keys
+from skatemount.config.overrides import refuse_text
 from skatemount.config.plugins import modules_of, written
 from skatemount.config.suite import SuiteConfig
 from skatemount.envs.config.task import TaskConfig
@@ -121,8 +122,9 @@ class EvaluationTask:
             seed: The user's seed.
 
         Raises:
-            ConfigError: There is no such setting, or variants have different tasks.
+            ConfigError: There is no such setting, variants have different tasks, or the overrides are a text.
         """
+        refuse_text(overrides)
         variants = suite.variants if suite is not None and suite.variants else {"": []}
         configs = {
             name: evaluation_config(agent.config, suite, overrides, variant=changes)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 from skatemount.adapters.auto_reset import AutoResetEnv
 from skatemount.envs import MountEnv, MountTask
+from skatemount.utils.errors import ConfigError
 
 SHORT = ["episode_length=0.2", "physics.threads=1"]
 
@@ -52,3 +54,14 @@ def test_what_a_library_asks_for() -> None:
     adapted.close()
     adapted.close()
     assert adapted.env.is_closed
+
+
+def test_arguments_that_cannot_be_used() -> None:
+    with pytest.raises(ConfigError, match="^num_envs=0 must be from 1"):
+        AutoResetEnv("balance", 0, SHORT)
+    for make in (
+        lambda: AutoResetEnv("balance", 2, "board=longboard"),
+        lambda: MountTask("balance", "board=longboard"),
+    ):
+        with pytest.raises(ConfigError, match=r"^overrides='board=longboard' must be a list .*\['board=longboard'\]"):
+            make()

@@ -24,6 +24,11 @@ def test_every_stage_is_registered_once() -> None:
     assert names == {f"skatemount/{stage}-v0" for stage in choices("stage")}
 
 
+def test_an_environment_names_its_module() -> None:
+    env = gymnasium.make_vec("skatemount.adapters.gymnasium:skatemount/balance-v0", num_envs=2, overrides=SHORT)
+    assert isinstance(env, adapter.GymnasiumVectorEnv) and env.num_envs == 2
+
+
 # Gymnasium warns of boxes without bounds, which observations are.
 @pytest.mark.filterwarnings("ignore:.*Box observation space:UserWarning")
 def test_one_world_passes_the_checker_of_gymnasium() -> None:
