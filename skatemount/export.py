@@ -69,8 +69,9 @@ def export(config: ExportConfig, overrides: list[str]) -> None:
     differences = PolicyFolder(output).check()
     largest = ", ".join(f"{name} {value:.1g}" for name, value in differences.items())
     print(f"{agent.name}: test vectors are equal; largest differences: {largest}")
-    starts = ", ".join(written.starts) or "no suite"
-    print(f"start states of {starts}: {config.episodes} each, {written.size / 1e6:.1f} MB in all")
+    names = ", ".join(written.starts)
+    starts = f"start states of {names}: {config.episodes} each" if names else "no start states"
+    print(f"{starts}, {written.size / 1e6:.1f} MB in all")
     print(f"written to {output}; use it with python -m skatemount.runner {output}")
 
 

@@ -43,10 +43,13 @@ def test_it_writes_a_folder_and_says_how_to_use_it(tmp_path: Path, capsys: pytes
     assert len({tuple(row) for row in starts["start"].tolist()}) == 6
 
 
-def test_without_start_states_it_is_for_a_robot_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_start_states_it_is_for_a_robot_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
-    run("episodes=0", "suite=mount-fixed")
+    run("episodes=0")
     assert PolicyFolder("exported/tiny").suites == {}
+    assert capsys.readouterr().out.splitlines()[1].startswith("no start states, ")
 
 
 def test_a_program_of_torch_and_an_export_without_start_states_need_no_suite(
@@ -77,6 +80,15 @@ def test_a_folder_with_other_files_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as error:
         run(f"output={tmp_path}", "suite=mount-fixed", "episodes=1")
     assert one_line(error).startswith(f"output={tmp_path} has other files")
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError) as error:
+        run(f"output={tmp_path / 'file' / 'policy'}", "episodes=0")
+    assert one_line(error) == f"output={tmp_path / 'file' / 'policy'}: Not a directory"
+    folders.check_output(tmp_path / "deep" / "policy")
+    assert not (tmp_path / "deep" / "policy").exists()
 
 
 @pytest.mark.parametrize(

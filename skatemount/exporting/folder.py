@@ -17,6 +17,7 @@ from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.envs.scene import SceneIndex
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.evaluator import Evaluator
+from skatemount.evaluation.results import in_words
 from skatemount.evaluation.suite_task import EvaluationTask
 from skatemount.exporting.card import make_card
 from skatemount.exporting.mjcf import plain_motors, portable, scene_names
@@ -27,7 +28,7 @@ from skatemount.exporting.starts import record_starts
 from skatemount.exporting.vectors import record_vectors
 from skatemount.exporting.world import World, world_graph
 from skatemount.runs import atomic
-from skatemount.utils.errors import ConfigError
+from skatemount.utils.errors import ConfigError, advice
 
 OWN = {"scene": "scene.xml", "observe": "observe.onnx"}
 """Files of the policy's own task, which suites share where theirs are the same."""
@@ -82,9 +83,16 @@ class Folder:
 
 
 def check_output(path: Path) -> None:
-    """Raise `ConfigError` unless a folder can be replaced: it must be new, empty, or hold an earlier export alone."""
+    """Raise `ConfigError` unless a folder can be made or replaced: it may be empty, or hold an earlier export alone."""
     if path.exists() and not path.is_dir():
         raise ConfigError(f"output={path} is a file; it must name a folder")
+    try:
+        if not path.exists():
+            # Only an attempt tells; the folder itself appears whole or not at all.
+            path.mkdir(parents=True)
+            path.rmdir()
+    except OSError as error:
+        raise ConfigError(f"output={path}: {error.strerror}{advice(error)}") from error
     found = [str(each.relative_to(path)) for each in sorted(path.rglob("*")) if each.is_file()]
     written: set[str] = set()
     if "card.json" in found:
@@ -184,13 +192,15 @@ def _write_variant(folder: Folder, evaluator: Evaluator, stem: str, count: int) 
     needed = input_shapes(judging)
     arrays = {name: values for name, values in arrays.items() if not name.startswith(MEMORY) or name in needed}
     definition = env.mdp.definition
+    ends = [definition.failure, *env.mdp.termination_names()]
     return {
         "starts": folder.write(f"suites/{stem}.npz", packed(arrays)),
         "scene": folder.write(f"suites/{stem}.xml", portable(task.scene.xml()).encode()),
         "observe": folder.write(f"suites/{stem}-observe.onnx", to_bytes(observing)),
         "world": folder.write(f"suites/{stem}-world.onnx", to_bytes(judging)),
         "steps": env.mdp.context.episode_steps,
-        "ends": [definition.failure, *env.mdp.termination_names()],
+        "ends": ends,
+        "end_words": {end: in_words(end, definition) for end in ends},
         "task": definition.name,
         "command": task.config.command.mode,
     }

@@ -64,6 +64,19 @@ def run_suite(
     return sorted(results, key=lambda result: result.episode)
 
 
+def end_words(folder: PolicyFolder, name: str) -> dict[str, str]:
+    """Return the ends of a suite's episodes in words, by name; an older export has none.
+
+    Args:
+        folder: The exported policy.
+        name: Name of the suite.
+    """
+    found: dict[str, str] = {}
+    for variant in folder.suites[name]["variants"]:
+        found |= variant.get("end_words", {})
+    return found
+
+
 def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
     """Return Wilson's score interval of a success rate; see `skatemount.evaluation.intervals`.
 

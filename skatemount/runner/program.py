@@ -78,7 +78,8 @@ def _run(arguments: list[str]) -> None:
         success, failures = made["success"], made["failures"]
         changes = made["evaluated"]["changed_by"]
         changed = f", changed by {', '.join(changes)}" if changes else ""
-        causes = ", ".join(f"{cause} {count}" for cause, count in failures.items()) or "none"
+        words = bench.end_words(folder, name)
+        causes = ", ".join(f"{words.get(cause, cause)} {count}" for cause, count in failures.items()) or "none"
         print(
             f"{name}{changed}: success {success['rate']:.1%} of {made['episodes']} episodes (95 % interval "
             f"{success['low']:.1%} to {success['high']:.1%}), failures: {causes}",

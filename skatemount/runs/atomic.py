@@ -97,9 +97,9 @@ def replacing_folder(final: Path) -> Iterator[Path]:
     final.parent.mkdir(parents=True, exist_ok=True)
     recover(final.parent)
     staged = _temporary_neighbor(final)
-    staged.mkdir()
     try:
         with naming(final, staged):
+            staged.mkdir()
             yield staged
             for folder, _, _ in os.walk(staged):
                 _sync_folder(Path(folder))

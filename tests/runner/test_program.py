@@ -11,6 +11,7 @@ from pathlib import Path
 import exported
 import pytest
 
+from skatemount.runner import bench
 from skatemount.runner.program import HELP, main
 
 
@@ -75,6 +76,26 @@ def test_a_suite_that_the_export_changed_is_named_with_its_changes(
     main([str(folder), "suite=stand", "episodes=1", f"json={tmp_path / 'r.json'}"])
     assert "\nstand, changed by board=mini, start.x=[0,0]: success " in capsys.readouterr().out
     assert json.loads((tmp_path / "r.json").read_text())["evaluated"]["changed_by"] == ["board=mini", "start.x=[0,0]"]
+
+
+def test_failures_are_named_in_words_if_the_export_has_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    failures = {"tilt": 2, "not_mounted": 1}
+    success = {"rate": 0.0, "low": 0.0, "high": 0.5}
+    made = {"episodes": 3, "success": success, "failures": failures, "evaluated": {"changed_by": []}}
+    monkeypatch.setattr(bench, "run_suite", lambda *_: [])
+    monkeypatch.setattr(bench, "document", lambda *_: made)
+    main([str(exported.folder()), "suite=stand"])
+    assert capsys.readouterr().out.rstrip().endswith("failures: robot fell 2, not mounted at the time limit 1")
+    old = tmp_path / "old"
+    shutil.copytree(exported.folder(), old)
+    card = json.loads((old / "card.json").read_text())
+    for variant in card["suites"]["stand"]["variants"]:
+        del variant["end_words"]
+    (old / "card.json").write_text(json.dumps(card))
+    main([str(old), "suite=stand"])
+    assert capsys.readouterr().out.rstrip().endswith("failures: tilt 2, not_mounted 1")
 
 
 def test_all_suites_of_a_folder_that_has_none_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
