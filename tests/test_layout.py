@@ -72,7 +72,6 @@ TESTED_IN = {
     "searching/picture.py": "searching/test_results.py",
     "searching/worker.py": "test_search.py",
     "train.py": "test_train_command.py",
-    "viewer/controls.py": "viewer/test_page.py",
     "viewer/scene.py": "viewer/test_page.py",
     "viewer/texts.py": "viewer/test_poses.py",
     "training/collecting.py": "training/test_exact_resume.py",

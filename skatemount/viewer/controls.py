@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from skatemount.config.files import choices, suites
+from skatemount.config.programs import MAX_WORLDS
 from skatemount.viewer.actors import checkpoints_of, known_policies
 from skatemount.viewer.conditions import ChosenStart, Conditions
 from skatemount.viewer.scene import CAMERAS, SceneView
@@ -16,7 +17,6 @@ SPEEDS = {"1/16": 1 / 16, "1/8": 1 / 8, "1/4": 1 / 4, "1/2": 1 / 2, "1": 1.0, "2
 
 OWN_TASK = "its own task"
 OWN_BOARD = "the task's"
-MAX_WORLDS = 36
 
 KEYS = {"I": (0.1, 0.0, 0.0), "K": (-0.1, 0.0, 0.0), "J": (0.0, 0.0, 0.2), "L": (0.0, 0.0, -0.2), "U": (0.0, 0.1, 0.0),
         "O": (0.0, -0.1, 0.0)}  # fmt: skip
@@ -54,7 +54,7 @@ class Controls:
         speed.on_update(lambda _: self._set("speed", SPEEDS[speed.value]))
         self._seed = gui.add_number("Seed", session.task.seed, min=0, step=1)
         self._seed.on_update(self._when_user(lambda: session.reseed(int(self._seed.value)), "seed"))
-        worlds = gui.add_slider("Worlds", 1, MAX_WORLDS, 1, min(session.worlds, MAX_WORLDS))
+        worlds = gui.add_slider("Worlds", 1, MAX_WORLDS, 1, session.worlds)
         worlds.on_update(lambda _: submit(lambda: self._choose_worlds(int(worlds.value)), "worlds"))
         self._shown = gui.add_slider("Show world", 0, max(1, session.worlds - 1), 1, 0)
         self._shown.on_update(self._when_user(lambda: self._select(int(self._shown.value)), "world"))
@@ -158,8 +158,11 @@ class Controls:
             self._command = [gui.add_slider(name, -most, most, 0.05, 0.0) for name, most in zip(names, LIMITS)]
             for each in (self._own_command, *self._command):
                 each.on_update(self._when_user(self._give_command, "command"))
-            gui.add_markdown("Keys: **I** and **K** forward and back, **J** and **L** turn, **U** and **O** sideways.")
-        with gui.add_folder("Ride"):
+            self._velocity_keys = gui.add_markdown(
+                "Keys: **I** and **K** forward and back, **J** and **L** turn, **U** and **O** sideways."
+            )
+        self._ride_folder = gui.add_folder("Ride")
+        with self._ride_folder:
             self._own_ride = gui.add_checkbox("Drive the board", False)
             self._ride = [
                 gui.add_slider("Ride at (m/s)", 0.0, 2.0, 0.05, 1.0),
@@ -168,6 +171,7 @@ class Controls:
             for each in (self._own_ride, *self._ride):
                 each.on_update(self._when_user(self._give_ride, "command"))
             gui.add_markdown("Keys: **I** and **K** faster and slower, **J** and **L** left and right, **U** straight.")
+        self._show_commands()
 
     def sync(self) -> None:
         """Show what an action has changed."""
@@ -181,8 +185,14 @@ class Controls:
             if list(self._variant.options) != variants:
                 self._variant.options = variants
                 self._variant.visible = len(variants) > 1
+            self._show_commands()
         finally:
             self._syncing = False
+
+    def _show_commands(self) -> None:
+        """Show the ride where the task has rides, and the keys of the velocity where they mean it."""
+        rides = self._rides
+        self._ride_folder.visible, self._velocity_keys.visible = rides, not rides
 
     def list_checkpoints(self) -> None:
         """Offer the checkpoints of the run that the policy is of."""
@@ -215,7 +225,7 @@ class Controls:
         for key, (label, action) in actions.items():
             gui.add_command(label, hotkey=key).on_trigger(lambda _, action=action: submit(action))
         for key, change in KEYS.items():
-            command = gui.add_command(f"Velocity command {change}", hotkey=key)
+            command = gui.add_command(f"Velocity command {change}, or that of the ride", hotkey=key)
             command.on_trigger(lambda _, key=key: submit(lambda: self._press(key)))
 
     # The rest runs in the session's thread.
@@ -266,10 +276,14 @@ class Controls:
 
     def _press(self, key: str) -> None:
         """Change the command by a key: that of a ride where the task has rides, else the velocity."""
-        if self._session.env.mdp.commands.rides:
+        if self._rides:
             self._change_ride(RIDE_KEYS[key])
         else:
             self._change_command(KEYS[key])
+
+    @property
+    def _rides(self) -> bool:
+        return bool(self._session.env.mdp.commands.rides)
 
     def _change_ride(self, change: tuple[float, float] | None) -> None:
         speed, curve = self._ride
