@@ -314,5 +314,6 @@ def _summary(evaluator: Evaluator, record: EpisodeRecords, last: Frame) -> str:
     most = mdp.definition.most(mdp.context.layout)
     metrics = mdp.definition.metrics_of(mdp.definition.overview)
     values = {metric: float(record.metrics[metric.name]) for metric in metrics}
-    said = [f"{m.label} {m.short(value, most.get(m.name))}" for m, value in values.items() if math.isfinite(value)]
+    known = {m: m.short(value, most.get(m.name)) for m, value in values.items() if math.isfinite(value)}
+    said = [m.of_one.format(value) if m.of_one else f"{m.label} {value}" for m, value in known.items()]
     return ", ".join(["succeeded" if record.success else f"failed, {_end(evaluator, record)}", *said])

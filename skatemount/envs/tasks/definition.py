@@ -61,6 +61,7 @@ class Metric:
         note: Words behind the value in the table of one evaluation, such as "an episode".
         most: Takes the robot's layout and returns the largest possible value, for texts ("3.9 of 4") and curves.
         training: The value of the same name that trainings log; None for none.
+        of_one: The metric of one episode in words, with ``{}`` for its value; "" for the label before the value.
     """
 
     name: str
@@ -75,6 +76,7 @@ class Metric:
     note: str = ""
     most: Callable[[JointLayout], float] | None = None
     training: TrainingValue | None = None
+    of_one: str = ""
 
     @property
     def reduce(self) -> Reducer:

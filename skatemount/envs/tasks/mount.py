@@ -51,6 +51,7 @@ MOUNT = TASKS.register(
                 reducer="median",
                 counts="success",
                 training=TrainingValue(time_to_mount, over="success"),
+                of_one="mounted {} after the first contact",
             ),
             Metric(
                 name="feet_on_board",
