@@ -100,7 +100,8 @@ def _results(subject: Subject, made: Sequence[Evaluated], given: Sequence[Result
     """Return a run's results by suite: those made for the page, then given ones, then those that it has."""
     from skatemount.reports import suites
 
-    own = [] if subject.folder is None else suites.results_in(subject.folder)
+    stage = subject.stages[-1].name if len(subject.stages) == 1 else ""
+    own = [] if subject.folder is None else suites.results_in(subject.folder, stage)
     if subject.card is not None and subject.card.suites:
         own += suites.parse({"suites": subject.card.suites}, f"card of {subject.name}")
     return suites.merged([each.result for each in made], given, own)
@@ -110,6 +111,7 @@ def _films(config: ReportConfig, evaluated: Sequence[Evaluated], notes: list[str
     """Film the chosen episodes, and add the films of the run's folder, as far as they fit into the page."""
     from skatemount.reports import episodes
     from skatemount.utils.decoration import Decoration
+    from skatemount.utils.formatting import format_changes
 
     films: list[Film] = []
     reason = _no_opengl()
@@ -118,7 +120,9 @@ def _films(config: ReportConfig, evaluated: Sequence[Evaluated], notes: list[str
     elif config.page.films:
         drawing = Decoration("the film of an episode")
         for each, number, kind in episodes.chosen_episodes(evaluated, config.page.films):
-            _say(f"filming the {kind} episode of {each.result.name}, number {number}")
+            own = " (its own task)" if each.task.suite is None else ""
+            named = f"{each.task.name}{own}{format_changes(each.task.changed_by)}"
+            _say(f"filming the {kind} episode of {named}, number {number}")
             with drawing:
                 films.append(episodes.film(each, number, kind, config.page.film_width))
         if drawing.failed:

@@ -20,7 +20,7 @@ from skatemount.envs.config.task import TaskConfig
 from skatemount.evaluation.results import Evaluation
 from skatemount.evaluation.success_map import plot_success_map
 from skatemount.evaluation.suite_task import EvaluationTask, load_suite, members_of
-from skatemount.reports.suites import ITS_OWN, Result, parse
+from skatemount.reports.suites import FOR_PAGE, Result, parse
 from skatemount.runs.provenance import package_versions
 from skatemount.utils.cores import available_cores
 
@@ -91,7 +91,7 @@ def evaluate(
         evaluation = task.evaluate(config.page.episodes)
         evaluation.evaluated["versions"] = package_versions()
         document = evaluation.to_dict()
-        document["evaluated"]["suite"] = task.name if suite is not None else f"{task.name} ({ITS_OWN})"
+        document["evaluated"]["suite"] = task.name if suite is not None else f"{task.name} ({FOR_PAGE})"
         (result,) = parse(document, f"{config.page.episodes} episodes, seed {config.seed}, evaluated for this page")
         found.append(Evaluated(task, evaluation, result, _map(task, evaluation)))
     return found

@@ -24,7 +24,7 @@ from skatemount.reports.facts import (
 )
 from skatemount.reports.page import data_uri, render, shown
 from skatemount.reports.subjects import Stage, Subject, flat, joined
-from skatemount.reports.suites import ITS_OWN, OWN_TASK, Result, measured_rows, suite_charts, suite_rows
+from skatemount.reports.suites import AT_END, FOR_PAGE, OWN_TASK, Result, measured_rows, suite_charts, suite_rows
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.formatting import format_count
 
@@ -195,9 +195,9 @@ def _tiles(content: Content) -> list[tuple[str, str, str]]:
 def headline(subject: Subject, results: Mapping[str, Result]) -> Result | None:
     """Return the result that stands for a run: of the task or the stage of its training, else the first one."""
     stage = subject.stages[-1].name if subject.stages else subject.card.stage if subject.card else ""
-    own = (result for result in results.values() if result.stage == stage or result.name.endswith(OWN_TASK))
-    made = (result for result in results.values() if result.name == f"{stage} ({ITS_OWN})")
-    return next(made, None) or next(own, None) or next(iter(results.values()), None)
+    named = (results.get(f"{stage} ({when})") for when in (FOR_PAGE, AT_END))
+    own = (result for result in results.values() if result.stage == stage or result.name == OWN_TASK)
+    return next(filter(None, named), None) or next(own, None) or next(iter(results.values()), None)
 
 
 def _episodes(count: int) -> str:

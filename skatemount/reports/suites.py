@@ -19,8 +19,8 @@ from skatemount.utils.formatting import format_changes
 
 OWN_TASK = "the task of its training"
 
-ITS_OWN = "its own task"
-"""Behind the name of a stage: the result of a policy in the task of its training, evaluated for the page."""
+FOR_PAGE, AT_END = "evaluated for this page", "at the end of the training"
+"""Behind the name of a stage: when a policy was evaluated in the task of its training."""
 
 HOLDS = 0.9
 """Success rate that a step of a ladder must reach to be held."""
@@ -188,10 +188,14 @@ def read_results(paths: Sequence[str]) -> list[Result]:
     return found
 
 
-def results_in(folder: Path) -> list[Result]:
+def results_in(folder: Path, stage: str = "") -> list[Result]:
     """Return the results that lie in a run's folder, or in folders of it; other files are left alone.
 
     A part of a chain gives its name to the result of its own task; the last part comes first.
+
+    Args:
+        folder: The run's folder.
+        stage: Stage of the run, the name of its own task; "" if it is not known.
     """
     found: list[Result] = []
     for file in [*sorted(folder.glob("*.json")), *sorted(folder.glob("*/*.json"), key=_place, reverse=True)]:
@@ -202,8 +206,9 @@ def results_in(folder: Path) -> list[Result]:
             for result in parse(document, file.relative_to(folder).as_posix()):
                 if (frames := document.get("frames")) is not None:
                     result.source += f", after {frames:,} steps"
-                if result.name == OWN_TASK and file.parent != folder:
-                    result.name = f"{OWN_TASK}, {file.parent.name}"
+                name = stage if file.parent == folder else file.parent.name
+                if result.name == OWN_TASK and name:
+                    result.name = f"{name} ({AT_END})"
                 found.append(result)
         except (OSError, ValueError):
             # A record of something else; ConfigError is a ValueError.

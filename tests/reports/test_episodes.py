@@ -106,3 +106,4 @@ def test_a_page_with_evaluation_map_and_films(first: Path, tmp_path: Path) -> No
         kind, _, data = video.partition(",")
         assert kind == "data:video/mp4;base64" and base64.b64decode(data)[4:8] == b"ftyp"
     assert "episode_length=0.12" in page.sections["episodes"] and "3 episodes" in page.sections["suites"]
+    assert "balance (evaluated for this page), changed by episode_length=0.12" in page.sections["suites"]

@@ -16,7 +16,7 @@ from skatemount.reports.facts import about_rows, differences, duration, short_na
 from skatemount.reports.page import shown
 from skatemount.reports.run_page import headline
 from skatemount.reports.subjects import find_subject
-from skatemount.reports.suites import merged, parse
+from skatemount.reports.suites import AT_END, FOR_PAGE, merged, parse
 from skatemount.runs.metrics import read_metrics
 
 pytestmark = pytest.mark.usefixtures("torch_as_it_was")
@@ -72,6 +72,7 @@ def test_every_reward_term_has_weight_value_and_curve(one: Page, first: Path) ->
 
 
 def test_settings_differ_from_the_defaults_of_the_stage(one: Page) -> None:
+    assert "Settings of the logger are not compared" in one.sections["settings"]
     assert one.row("physics.num_worlds")[1:] == ["8", "1024"]
     assert one.row("network.actor")[1] == "[16]"
     # The second row of a setting is in the list of all of them.
@@ -81,6 +82,7 @@ def test_settings_differ_from_the_defaults_of_the_stage(one: Page) -> None:
 
 def test_results_in_the_runs_folder_and_what_it_took(one: Page, first: Path) -> None:
     found = json.loads((first / "evaluation.json").read_text())
+    assert "balance (at the end of the training)" in one.sections["suites"]
     rate, low, high = (100 * found["success"][name] for name in ("rate", "low", "high"))
     assert f"{rate:.1f} %" in one.sections["suites"] and f"{low:.1f} to {high:.1f} %" in one.sections["suites"]
     assert one.row("torch threads")[1] == "1" and one.row("physics threads")[1] == "1"
@@ -148,5 +150,8 @@ def test_the_result_at_the_top_is_that_of_the_training(root: Path) -> None:
     results = merged(parse({"suites": subject.card.suites}, "card"))
     assert next(iter(results)) == "gait" and headline(subject, results).name == "approach-unfixed"
     assert headline(subject, {}) is None
+    both = {f"unfixed ({when})": results["gait"] for when in (AT_END, FOR_PAGE)}
+    assert headline(subject, both | results) is both[f"unfixed ({FOR_PAGE})"]
+    assert headline(subject, results | {f"unfixed ({AT_END})": results["far"]}) is results["far"]
     assert dict(about_rows([subject]))["started from"] == ["scratch"]
     assert dict(about_rows([find_subject("pretrained:anywhere", root)]))["started from"][0].startswith("pretrained:")

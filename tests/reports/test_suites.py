@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from skatemount.reports.suites import (
+    AT_END,
     OWN_TASK,
     merged,
     parse,
@@ -89,7 +90,9 @@ def test_the_parts_of_a_chain_keep_their_results(tmp_path: Path) -> None:
         (tmp_path / part / "evaluation.json").write_text(json.dumps(result(0.5, frames=4096)))
     (tmp_path / "stages.json").write_text(json.dumps({"stages": []}))
     found = results_in(tmp_path)
-    assert [each.name for each in found] == [f"{OWN_TASK}, {part}" for part in ("10_hold", "2_balance", "1_gait")]
+    assert [each.name for each in found] == [f"{part} ({AT_END})" for part in ("10_hold", "2_balance", "1_gait")]
+    (tmp_path / "evaluation.json").write_text(json.dumps(result(0.5)))
+    assert results_in(tmp_path, "hold")[0].name == f"hold ({AT_END})"
     assert found[0].source == "10_hold/evaluation.json, after 4,096 steps"
 
 
