@@ -77,6 +77,24 @@ def test_every_suite_is_in_the_table() -> None:
     assert set(re.findall(r"^\| `([\w-]+)` \|", text, re.MULTILINE)) == set(suites())
 
 
+def test_outputs_name_the_versions_of_todays_suites() -> None:
+    # An output of an older version shows what the policy did in other physics.
+    shown = {
+        (page.name, suite, int(version))
+        for page in PAGES
+        if page.name == "README.md" or page.parent in (ROOT / "docs", ROOT / "docs" / "tutorials")
+        for suite, version in re.findall(r"\bon\s+([\w-]+),\s+version\s+(\d+)", page.read_text(encoding="utf-8"))
+    }
+    assert any(page == "quickstart.md" for page, _, _ in shown)
+    assert {(page, suite, suite_version(suite)) for page, suite, _ in shown} == shown
+
+
+def suite_version(name: str) -> int:
+    """Return the version of a suite, as its file says."""
+    text = (ROOT / "conf" / "suite" / f"{name}.yaml").read_text(encoding="utf-8")
+    return int(re.findall(r"^version: (\d+)", text, re.MULTILINE)[0])
+
+
 def test_every_end_of_an_episode_is_in_the_table() -> None:
     text = (ROOT / "docs/mountbench.md").read_text(encoding="utf-8").partition("## How an episode fails")[2]
     rows = dict(re.findall(r"^\| ([\w ]+) \| `(\w+)` \|", text, re.MULTILINE))
