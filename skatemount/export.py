@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,7 +28,7 @@ def export(config: ExportConfig, overrides: list[str]) -> None:
             else.
         RunnerError: The exported graphs compute something else than the policy.
     """
-    from skatemount.evaluation.suite_task import EvaluationTask
+    from skatemount.evaluation.suite_task import EvaluationTask, evaluation_config
     from skatemount.exporting import folder, onnx_graph
     from skatemount.runner.folder import PolicyFolder
     from skatemount.utils.errors import ConfigError
@@ -41,6 +42,14 @@ def export(config: ExportConfig, overrides: list[str]) -> None:
     agent = tasks[0].agent
     if agent.path.suffix == ".onnx":
         raise ConfigError(f"checkpoint={config.checkpoint}: is exported already; give the policy that it was made from")
+    if agent.config.boards.vary:
+        if "boards=one" not in overrides:
+            raise ConfigError(
+                f"checkpoint={config.checkpoint}: was trained on boards that vary, and an export is for one; "
+                "give boards=one"
+            )
+        one_board = evaluation_config(agent.config, None, ["boards=one"]).boards
+        agent = dataclasses.replace(agent, config=dataclasses.replace(agent.config, boards=one_board))
     if without_starts:
         tasks = []
     left_out = [task for task in tasks if any(each.boards.vary for each in task.configs.values())]

@@ -9,7 +9,9 @@ import pytest
 import torch
 from composed import one_line
 
+from skatemount.agents.trained_policy import TrainedPolicy
 from skatemount.config import compose_program
+from skatemount.config.unused import check_used
 from skatemount.evaluation import suite_task
 from skatemount.export import export
 from skatemount.exporting import folder as folders
@@ -63,6 +65,20 @@ def test_a_program_of_torch_and_an_export_without_start_states_need_no_suite(
     assert capsys.readouterr().out == f"tiny: policy.pt2 and card.json written to {tmp_path / 'policy'}\n"
     run(f"output={tmp_path / 'policy'}", "episodes=0")
     assert "left out" not in capsys.readouterr().out and not names
+
+
+def test_a_policy_of_varied_boards_is_exported_for_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[TrainedPolicy] = []
+    monkeypatch.setattr(folders, "write_program", lambda path, agent: made.append(agent))
+    given = ["checkpoint=pretrained:robust", "format=torch", f"output={tmp_path / 'policy'}"]
+    with pytest.raises(ConfigError) as error:
+        export(compose_program("export", given), given)
+    assert one_line(error).endswith("was trained on boards that vary, and an export is for one; give boards=one")
+    given.append("boards=one")
+    check_used(compose_program("export", given), given)
+    export(compose_program("export", given), given)
+    (agent,) = made
+    assert not agent.config.boards.vary
 
 
 @pytest.mark.slow

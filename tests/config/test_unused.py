@@ -60,6 +60,7 @@ TAKEN = [
     ("play", "worlds=2 speed=0.5 viewer=native"),
     ("export", "suite=far episodes=10 seed=1"),
     ("export", "format=torch output=here"),
+    ("export", "episodes=0 boards=one"),
     ("export", "episodes=0 seed=1 output=here physics.threads=1"),
     ("report", "page.episodes=64 page.films=1 page.film_width=320 page.megabytes=5"),
     ("report", "sweep=s page.suites=[own] page.episodes=64 page.films=0"),
