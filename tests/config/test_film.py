@@ -25,7 +25,7 @@ from skatemount.utils.errors import ConfigError
         ("film.end=0", "film.end=0.0 must be above 0 and at most 3600 s"),
         ("film.start=2 film.end=1.5", "film.end=1.5 must be above film.start=2.0"),
         ("film=4k", "film=4k: there is no film 4k; there are: 1080p, default"),
-        ("episode=-1", "episode=-1 must be from 0 to"),
+        ("episode=-1", "episode=-1 must be 0 or more"),
         ("episodes=some", "episodes=some must be a number such as 4, a list of numbers such as [0,3,7], or failed"),
         ("episodes=[0,x]", "episodes=[0, 'x'] must be a number such as 4, a list of numbers"),
         ("episodes=true", "episodes=True must be a number such as 4"),
