@@ -66,7 +66,7 @@ def run(verb: Callable[..., float | None], program: str) -> None:
         if {"--help", "-h"} & set(sys.argv[1:]):
             print(help_text(program))
             return
-        sys.argv[1:], settings = _prepared(sys.argv[1:], program)
+        sys.argv[1:], settings = _prepared(_options_first(sys.argv[1:]), program)
         check_own_files(settings)
         launchers.check(settings, multirun.is_asked_for(sys.argv[1:]))
         if multirun.is_asked_for(sys.argv[1:]):
@@ -128,6 +128,19 @@ def prepare_outputs(json: str | None, output: str | None) -> None:
         Path(json).parent.mkdir(parents=True, exist_ok=True)
     if output is not None:
         Path(output).mkdir(parents=True, exist_ok=True)
+
+
+def _options_first(arguments: Sequence[str]) -> list[str]:
+    """Return a command line's arguments with its options, and their values, before the settings.
+
+    Hydra's parser refuses settings on both sides of an option.
+    """
+    options: list[str] = []
+    settings: list[str] = []
+    for argument in arguments:
+        is_value = bool(options) and options[-1] in _WITH_VALUE
+        (options if is_value or argument.startswith("-") else settings).append(argument)
+    return [*options, *settings]
 
 
 def _prepared(arguments: list[str], program: str) -> tuple[list[str], list[str]]:

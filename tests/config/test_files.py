@@ -134,6 +134,10 @@ def test_the_command_line_takes_the_folder(
     cli.run(lambda config, overrides: seen.append((config, overrides, choices("stage"))), "train")
     ((config, overrides, known),) = seen
     assert config.board.deck_width == 0.31 and overrides == ["stage=mine", "experiment=long"] and "mine" in known
+    # Options may stand between settings.
+    monkeypatch.setattr(sys, "argv", ["train", "stage=mine", *words, "experiment=long"])
+    cli.run(lambda config, overrides: seen.append((config, overrides, choices("stage"))), "train")
+    assert seen[1] == seen[0]
     monkeypatch.setattr(sys, "argv", ["train", *words, "--help"])
     cli.run(lambda config, overrides: None, "train")
     assert "mine" in capsys.readouterr().out
