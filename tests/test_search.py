@@ -128,6 +128,11 @@ def test_no_success_is_status_one(command: Callable[..., Any], monkeypatch: pyte
             "logger.final_episodes=0 with logger.evaluate_every=0: a trial needs an evaluation",
         ),
         (["stage=balance", "search.space.algorithm.lr=log(1,2)"], "there is no setting algorithm.lr"),
+        (["stage=balance", SPACE.replace("space", "sace")], "did you mean search.space.algorithm.target_kl?"),
+        (
+            ["stage=balance", SPACE, "launcher=joblib"],
+            "launcher=joblib: a search has no launcher; start the command once more for another process",
+        ),
     ],
 )
 def test_wrong_commands_are_one_line(

@@ -49,6 +49,7 @@ INSTEAD = {
     ("train", "checkpoint"): "a training starts from init_from=<policy>, or goes on with resume=<run>",
     ("play", "episode"): "start.* and the page's sliders choose how an episode starts",
     ("evaluate", "episode"): "episodes=<number> says how many to evaluate",
+    ("search", "launcher"): "a search has no launcher; start the command once more for another process",
 }
 """Hints for settings of one program that are given to another."""
 
@@ -100,7 +101,13 @@ def unknown(program: str, key: str, written: str) -> str:
         owners = " and ".join([*filter(None, [", ".join(others[:-1])]), others[-1]])
         text = f"{written}: not a setting of {program}, but of {owners}"
         return f"{text}; {hint}" if hint else text
+    if key in groups() and (hint := INSTEAD.get((program, key))):
+        return f"{written}: {hint}"
     close = suggestions(PROGRAMS[program], key)
+    first, _, rest = key.partition(".")
+    searched = rest.partition(".")[2]
+    if program == first == "search" and is_known(PROGRAMS["train"], searched):
+        close = [f"search.space.{searched}"]
     hint = f"; did you mean {' or '.join(close)}?" if close else f"; python -m skatemount.{program} --cfg job lists all"
     return f"{written}: there is no setting {key}{hint}"
 

@@ -60,6 +60,9 @@ def check_own_file(group: str, path: Path) -> None:
         path: The file.
     """
     node = _node(path, path.stat().st_mtime_ns)
+    if group == "search" and not any(key.value == "defaults" for key, _ in node.value):
+        # What the file does not set would be missing, and Hydra would name only that.
+        raise ConfigError(f"{path} lacks `defaults: [default, _self_]`")
     for key, value in node.value:
         if key.value != "defaults":
             continue

@@ -139,6 +139,9 @@ def report(folder: SearchFolder, records: Sequence[Mapping[str, Any]], overrides
     lines.append(f"written to {folder.path / RESULTS_FILE}, {CSV_FILE}{f', {PICTURE_FILE}' if top else ''}")
     if top is None:
         return "\n".join([*lines, "no trial has succeeded"])
+    if not top["success"]:
+        # The first of equals is no better than the others.
+        return "\n".join([*lines, "no trial had a success"])
     evaluate = ["python", "-m", "skatemount.evaluate", f"checkpoint={folder.path / top['run']}"]
     lines += [
         f"best: trial {top['number']}, {shlex.join(evaluate)}",

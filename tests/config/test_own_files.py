@@ -28,6 +28,7 @@ REFUSED = [
     ("stage/mine.yaml", f"{GLOBAL}reward: [1]\n", ": ConfigTypeError raised while composing config"),
     ("stage/mine.yaml", "stage: {name: mine}\n", ", line 1: stage.stage: there is no setting"),
     ("stage/mine.yaml", f"{GLOBAL}defaults: balance\n", ", line 3: defaults must be a list"),
+    ("search/mine.yaml", "trials: 3\n", " lacks `defaults: [default, _self_]`"),
     ("stage/mine.yaml", f"{GLOBAL}defaults:\n  - balence\n", ", line 4: there is no stage balence (did you mean bala"),
     ("stage/mine.yaml", f"{GLOBAL}defaults:\n  - mine\n", ": includes itself through its defaults list: mine > mine"),
     ("stage/mine.yaml", f"{GLOBAL}defaults: [override /bord: x]\n", ", line 3: override /bord: there is no group bord"),
@@ -62,6 +63,7 @@ def test_a_mistake_is_one_line_with_its_place(name: str, text: str, expected: st
     path = write(folder, name, text)
     group = path.parent.name
     with pytest.raises(ConfigError) as error:
+        check_own_files([f"{group}={path.stem}"])
         compose(None, [f"{group}={path.stem}"])
     assert str(error.value).startswith(f"{path}{expected}") and "\n" not in str(error.value)
 

@@ -78,6 +78,15 @@ def test_without_a_success_there_is_no_best(make_study: Callable[..., SharedStud
     assert not (study.folder.path / "best").exists() and not (study.folder.path / "search.png").exists()
 
 
+def test_zero_is_not_the_best(make_study: Callable[..., SharedStudy]) -> None:
+    study = make_study()
+    claimed = study.claim()
+    assert claimed is not None
+    study.finish(claimed, "finished", Score.of(0, 40, 640, study.folder.path / claimed.job.label))
+    text = results.report(study.folder, results.write(study.folder, study))
+    assert text.endswith("no trial had a success") and "best: " not in text
+
+
 def test_the_picture_shows_the_trials(make_study: Callable[..., SharedStudy], tmp_path: Path) -> None:
     study = searched(make_study)
     results.write(study.folder, study)
