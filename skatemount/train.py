@@ -56,6 +56,7 @@ def train(
 def _train(config: TrainConfig, overrides: list[str], job: Job | None, callbacks: Sequence[Callback]) -> Score:
     """Do what `train` does, as the only rank or rank 0."""
     from skatemount.evaluation import report
+    from skatemount.runs.sweep import key_of
     from skatemount.training.chain import chain_to_train, check_stages
     from skatemount.training.commands import naming_what_is_left, next_commands
     from skatemount.training.restarts import note_job
@@ -71,7 +72,9 @@ def _train(config: TrainConfig, overrides: list[str], job: Job | None, callbacks
         config, overrides = _of_job(config, job)
     restarted = job is None and _resume_after_restart(config)
     goes_on = restarted or sweep is not None and config.resume is not None
-    overrides = [each for each in overrides if each.startswith("plugins=")] if restarted else overrides
+    if restarted and not any(key_of(each) == "resume" for each in overrides):
+        # The run has saved them; those of a command that resumed it already are not in its settings.
+        overrides = [each for each in overrides if each.startswith("plugins=")]
     chain = chain_to_train(config, overrides, callbacks, sweep)
     if chain is not None:
         print(f"run: {chain.run.path}", flush=True)
@@ -86,7 +89,9 @@ def _train(config: TrainConfig, overrides: list[str], job: Job | None, callbacks
     parent = sweep if config.resume is None else None
     trainer = Trainer(resume_config(config, overrides), overrides, parent, callbacks)
     print(trainer.describe(), flush=True)
-    note_job(trainer.run)
+    if goes_on or not trainer.stopping:
+        # Else a restart would not report again that nothing is left to train.
+        note_job(trainer.run)
     try:
         result = _final_evaluation(trainer) if goes_on and _has_ended(trainer) else trainer.train()
     finally:

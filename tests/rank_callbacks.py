@@ -13,14 +13,20 @@ from skatemount.training.callbacks import Callback
 
 
 class OnOneRank(Callback):
-    """Does something on rank 1 before its third batch is learned from, once in a run."""
+    """Does something on rank 1 before its third batch is learned from, once in a run.
+
+    Attributes:
+        signum: Signal that `act` sends.
+        at: Number of iterations before.
+    """
 
     on_all_ranks = True
+    at = 2
     signum: int | None = None
 
     def on_batch_collected(self, trainer: Any, batch: Any) -> None:
         """Do it, and note in the run's folder that it was done."""
-        if trainer.ranks.rank == 1 and trainer.iteration == 2:
+        if trainer.ranks.rank == 1 and trainer.iteration == self.at:
             note = trainer.run.path.parent / type(self).__name__
             if not note.exists():
                 note.touch()
@@ -36,6 +42,23 @@ class Killed(OnOneRank):
     """Rank 1 is killed."""
 
     signum = signal.SIGKILL
+
+
+class KilledLater(Killed):
+    """Rank 1 is killed in an iteration that the run of the tests reaches only when it is resumed."""
+
+    at = 4
+
+
+class KilledAtEnd(Callback):
+    """Rank 0 is killed when everything is trained and saved, once in a run."""
+
+    def on_train_end(self, trainer: Any) -> None:
+        """Kill it."""
+        note = trainer.run.path.parent / type(self).__name__
+        if not note.exists():
+            note.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
 
 
 class Stopped(OnOneRank):

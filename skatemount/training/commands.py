@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ from skatemount.config.files import choices, load_file
 from skatemount.config.plugins import modules_of, written
 from skatemount.runs import checkpoint
 from skatemount.runs.folder import RunFolder, is_run
+from skatemount.runs.sweep import key_of
 from skatemount.utils.errors import ConfigError, StorageError
 from skatemount.utils.ranks import Ranks
 from skatemount.utils.signals import Ended
@@ -56,17 +57,29 @@ def what_is_left(trainer: Trainer) -> str:
     if not frames:
         return f"nothing was trained in {run.path}" if run.path.exists() else "nothing was trained"
     if not is_run(run.path):
-        return f"the run {run.path} is gone; if it was moved, go on with: {' '.join(_resume('<its folder>', ranks))}"
+        return f"the run {run.path} is gone; if it was moved, {_resume('resume=<its folder>', ranks)}"
     # A complete training has nothing to resume but its evaluation; of a chain, the next stage.
     complete = trainer.stopping and frames == trainer.frames and run.parent is None
     modules = modules_of(run.config)
-    resume = [*_resume(run.path, ranks), *([written(modules)] if modules else [])]
-    command = ["python", "-m", "skatemount.evaluate", *policy_settings(run)] if complete else resume
-    return f"{frames:,} steps are saved in {run.latest}; go on with: {shlex.join(command)}"
+    settings = [f"resume={run.path}", *_changed(trainer.overrides), *([written(modules)] if modules else [])]
+    way = _resume(shlex.join(settings), ranks)
+    if complete:
+        way = f"go on with: {shlex.join(['python', '-m', 'skatemount.evaluate', *policy_settings(run)])}"
+    return f"{frames:,} steps are saved in {run.latest}; {way}"
 
 
-def _resume(where: object, ranks: Ranks) -> list[str]:
-    return [*ranks.command, "-m", "skatemount.train", f"resume={where}"]
+def _resume(settings: str, ranks: Ranks) -> str:
+    """Return how to start a training again, with one command or with one on each machine."""
+    if ranks.command is None:
+        return f"start the same torchrun commands on every machine, with {settings} instead of the other settings"
+    return f"go on with: {shlex.join([*ranks.command, '-m', 'skatemount.train'])} {settings}"
+
+
+def _changed(overrides: Sequence[str]) -> list[str]:
+    """Return the settings of a command that resumed a run and changed them, which the run has not saved."""
+    if not any(key_of(each) == "resume" for each in overrides):
+        return []
+    return [each for each in overrides if key_of(each) not in ("resume", "plugins", "logger.root")]
 
 
 @contextmanager

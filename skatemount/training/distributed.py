@@ -66,7 +66,7 @@ class JoinedRanks(Ranks):
         self.bytes, self.reductions, self.seconds = 0, 0, 0.0
         self._connection = connection
         local = launch().local_size or self.size
-        self.command = ("torchrun", f"--nnodes={self.size // local}", f"--nproc-per-node={local}")
+        self.command = ("torchrun", f"--nproc-per-node={local}") if local == self.size else None
         self._trainings = 0
         self._spoken = time.monotonic()
         self._waited_for = False
@@ -238,6 +238,23 @@ class JoinedRanks(Ranks):
             time.sleep(0.1)
         values: dict[str, Any] = json.loads(self._connection.store.get(key))
         return values
+
+    def announce_training(self) -> None:
+        """Tell the other ranks to train what was begun; without it they only prepare it. For rank 0."""
+        if self.first:
+            self._connection.store.set(f"trains/{self._trainings}", "")
+
+    def trains(self) -> bool:
+        """Wait until rank 0 announces the training that it has begun; False if it ends, or begins another, without.
+
+        After a restart in the final evaluation nothing is left to train.
+        """
+        key, following = f"trains/{self._trainings}", f"training/{self._trainings + 1}"
+        while not self._connection.has(key):
+            if self._connection.has("end") or self._connection.has(following):
+                return False
+            time.sleep(0.1)
+        return True
 
     def receive_state(self) -> dict[str, Any]:
         """Return the state that rank 0 sends when all ranks are prepared."""

@@ -32,7 +32,8 @@ def follow(ranks: JoinedRanks, config: TrainConfig) -> None:
             told.physics.threads, told.physics.device = config.physics.threads, config.physics.device
             trainer = Trainer(told)
             try:
-                trainer.train()
+                if ranks.trains():
+                    trainer.train()
             finally:
                 trainer.close()
     except ConfigError as error:

@@ -57,6 +57,7 @@ class Trainer:
 
     Attributes:
         config: Every setting.
+        overrides: The overrides of the command line.
         run: The run folder.
         task, env: The task, and its worlds.
         networks, algorithm: Actor and critic, and the algorithm that trains them.
@@ -83,6 +84,7 @@ class Trainer:
         callbacks: Iterable[Callback] = (),
     ):
         self.config = config
+        self.overrides = overrides or []
         self.ranks = distributed.current()
         seed = config.seed + self.ranks.rank
         set_up_process(config)
@@ -133,16 +135,16 @@ class Trainer:
         self.parent: dict[str, Any] | None = None
         self.state = TrainerState(self)
         if self.ranks.first:
-            self._open_run(overrides or [], parent)
+            self._open_run(parent)
             self.ranks.begin(config, self.state.for_rank)
         else:
             self.state.join(self.ranks.receive_state())
         shown, every = mdp.definition.metrics_of(mdp.definition.progress), config.logger.progress_every
         self.display = Progress(config.total_frames, config.stage.name, every, self.frames, metrics=shown)
 
-    def _open_run(self, overrides: list[str], parent: RunFolder | SweepFolder | None) -> None:
+    def _open_run(self, parent: RunFolder | SweepFolder | None) -> None:
         """Open the run to resume, or create a new one."""
-        config = self.config
+        config, overrides = self.config, self.overrides
         if config.resume is not None:
             self.run = RunFolder.open(config.resume)
             # Taken before anything is read, so that no other process trains on meanwhile.
@@ -211,6 +213,7 @@ class Trainer:
         """
         if self.frames >= (total := self.config.total_frames):
             raise ConfigError(f"total_frames={total}: {self.frames} frames are already trained; raise it above that")
+        self.ranks.announce_training()
         with ending_by_signals(), naming_what_is_left(self):
             try:
                 self._train()

@@ -87,12 +87,12 @@ class Ranks:
     Attributes:
         rank: Number of this process, from 0.
         size: Number of processes.
-        command: The program that starts the processes, with its options.
+        command: The program that starts the processes, with its options; None if each machine needs its own.
     """
 
     rank: int = 0
     size: int = 1
-    command: Sequence[str] = ("python",)
+    command: Sequence[str] | None = ("python",)
 
     @property
     def first(self) -> bool:
@@ -161,6 +161,9 @@ class Ranks:
             config: The settings of the training, a `TrainConfig`.
             state: Returns the state for a rank.
         """
+
+    def announce_training(self) -> None:
+        """Tell the other ranks to train what was begun; without it they only prepare it. For rank 0."""
 
     def receive_state(self) -> dict[str, Any]:
         """Return the state that rank 0 sends when all ranks are prepared; for the other ranks."""

@@ -9,12 +9,15 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+import torch.distributed as dist
 
 from skatemount.config import compose, set_user_config_dir, to_dict
 from skatemount.runs.checkpoint import POLICY_FILE, PolicyCard, save_policy
 from skatemount.runs.folder import RunFolder
 from skatemount.training.commands import next_commands, what_is_left
-from skatemount.utils.ranks import ALONE
+from skatemount.training.connection import Connection
+from skatemount.training.distributed import JoinedRanks
+from skatemount.utils.ranks import ALONE, Ranks
 
 
 @pytest.fixture
@@ -60,7 +63,33 @@ def test_commands_name_the_modules_that_they_import(tmp_path: Path) -> None:
     run = made(tmp_path)
     for line in next_commands(run).splitlines()[1:]:
         assert "plugins=[my_nets]" in shlex.split(line)
-    assert what_is_left(SimpleNamespace(run=run, saved_frames=8, frames=8, stopping=False, ranks=ALONE)) == (
+    assert left(run, ALONE) == (
         f"8 steps are saved in {run.latest}; go on with: python -m skatemount.train resume={run.path} "
         "'plugins=[my_nets,my_hooks.mine]'"
     )
+
+
+def left(run: RunFolder, ranks: Ranks, *overrides: str) -> str:
+    """Return what a training says that has ended early."""
+    values = {"saved_frames": 8, "frames": 8, "stopping": False}
+    return what_is_left(SimpleNamespace(run=run, ranks=ranks, overrides=list(overrides), **values))
+
+
+def test_the_way_on_keeps_what_a_resumed_run_has_changed(tmp_path: Path) -> None:
+    run = made(tmp_path)
+    changed = ("resume=last", "total_frames=40960", "plugins=[my_nets]", f"logger.root={tmp_path}")
+    assert f"resume={run.path} total_frames=40960 'plugins=[my_nets,my_hooks.mine]'" in left(run, ALONE, *changed)
+    # A new run has saved all of them.
+    assert "total_frames" not in left(run, ALONE, *changed[1:])
+
+
+def test_on_several_machines_no_single_command_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, ways = made(tmp_path), []
+    for local in ("1", "2"):
+        monkeypatch.setenv("LOCAL_WORLD_SIZE", local)
+        ways.append(left(run, JoinedRanks(Connection(dist.HashStore(), 0, 2, 60.0))).partition("; ")[2])
+    settings = f"resume={run.path} 'plugins=[my_nets,my_hooks.mine]'"
+    assert ways == [
+        f"start the same torchrun commands on every machine, with {settings} instead of the other settings",
+        f"go on with: torchrun --nproc-per-node=2 -m skatemount.train {settings}",
+    ]

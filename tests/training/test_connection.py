@@ -59,7 +59,13 @@ def test_rank_0_says_what_is_trained_and_when_it_ends(connected: Callable[[int],
     first.size = 1
     first.begin(config, lambda rank: {})
     assert other.next_training() == to_dict(config)
+    first.announce_training()
+    assert other.trains()
+    first.begin(config, lambda rank: {})
+    assert other.next_training() == to_dict(config)
+    # Rank 0 only evaluates this one.
     first.end(failed=False)
+    assert not other.trains()
     assert other.next_training() is None
 
 

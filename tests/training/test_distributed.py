@@ -225,6 +225,30 @@ def test_a_killed_rank_is_named_and_torchrun_goes_on_from_the_last_checkpoint(tm
 
 
 @pytest.mark.slow
+def test_a_restart_of_a_resumed_run_keeps_the_settings_of_the_command_line(tmp_path: Path) -> None:
+    torchrun(*command(tmp_path, "KilledLater", iterations=2))
+    run = the_run(tmp_path)
+    given = [f"resume={run.path}", f"logger.root={tmp_path}", f"total_frames={6 * BOTH}"]
+    done = torchrun("--max-restarts=1", "-m", "skatemount.train", *given)
+    # The saved settings have another number.
+    assert re.search(rf"256 steps are saved in .*; go on with: .* total_frames={6 * BOTH} ", done.stderr)
+    assert f"restarted: resumes {run.path}" in done.stdout
+    assert [row[STEP] for row in rows(run)] == [i * BOTH for i in range(1, 7)]
+
+
+@pytest.mark.slow
+def test_a_restart_in_the_final_evaluation_only_evaluates(tmp_path: Path) -> None:
+    done = torchrun("--max-restarts=1", *command(tmp_path, "KilledAtEnd", iterations=2), "logger.final_episodes=2")
+    run = the_run(tmp_path)
+    assert f"restarted: resumes {run.path}" in done.stdout, done.stdout
+    assert re.search(r"episodes +2\n", done.stdout)
+    assert "are already trained" not in done.stderr and rows(run)[-1][STEP] == 2 * BOTH
+    # The second time it is a mistake of the user's, which only rank 0 reports.
+    again = ["--max-restarts=1", "-m", "skatemount.train", f"resume={run.path}", f"logger.root={tmp_path}"]
+    assert torchrun(*again, status=1).stderr.count("skatemount.train: total_frames=128: 128 frames are already") == 2
+
+
+@pytest.mark.slow
 def test_a_rank_that_stands_still_ends_the_run_after_the_timeout(tmp_path: Path) -> None:
     done = torchrun(*command(tmp_path, "Stopped"), "distributed.timeout=5", status=1)
     assert "rank 1 of 2 has ended, or did not answer within 5 s; 128 steps are saved in" in done.stderr
@@ -232,8 +256,8 @@ def test_a_rank_that_stands_still_ends_the_run_after_the_timeout(tmp_path: Path)
 
 @pytest.mark.slow
 def test_a_signal_to_one_rank_ends_all_after_the_same_iteration(tmp_path: Path) -> None:
-    done = torchrun(*command(tmp_path, "AskedToEnd"), status=1)
-    assert re.search(r"ended by SIGTERM; 192 steps are saved in .*; go on with: torchrun --nnodes=1 ", done.stderr)
+    errors = torchrun(*command(tmp_path, "AskedToEnd"), status=1).stderr
+    assert re.search(r"ended by SIGTERM; 192 steps are saved in .*; go on with: torchrun --nproc-per-node=2 ", errors)
     run = the_run(tmp_path)
     assert state_of(run)["progress"] | {"elapsed": 0} == {
         "frames": 3 * BOTH, "iteration": 3, "elapsed": 0, "device": "cpu", "ranks": 2,
