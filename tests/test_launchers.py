@@ -115,6 +115,8 @@ def test_the_ready_launchers_compose(launcher: str, runs_root: Path) -> None:
     assert config._target_.endswith({"b": "JoblibLauncher", "l": "LocalLauncher", "m": "SlurmLauncher"}[launcher[-1]])
     if launcher == "submitit_slurm":
         assert config.cpus_per_task and config.max_num_timeout and config.additional_parameters.requeue is True
+        # Or srun would give each task one core.
+        assert list(config.setup) == ["export SRUN_CPUS_PER_TASK=$SLURM_CPUS_PER_TASK"]
 
 
 def test_a_job_waits_while_another_process_trains_it(
