@@ -44,6 +44,15 @@ class Killed(OnOneRank):
     signum = signal.SIGKILL
 
 
+class AskedToEndInEvaluation(Callback):
+    """Rank 0 is asked to end when it begins to evaluate."""
+
+    def on_iteration_end(self, trainer: Any, metrics: dict[str, float]) -> None:
+        """Ask it, and evaluate more episodes than the test has time for."""
+        os.kill(os.getpid(), signal.SIGTERM)
+        trainer.evaluate(1_000_000)
+
+
 class KilledLater(Killed):
     """Rank 1 is killed in an iteration that the run of the tests reaches only when it is resumed."""
 

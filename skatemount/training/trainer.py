@@ -39,6 +39,10 @@ from skatemount.utils.errors import ConfigError
 from skatemount.utils.signals import Ended, ending_by_signals, shielded, waiting_signal
 
 
+class _EvaluationEnded(Exception):
+    """A signal waits until the present iteration is saved, so the evaluation does not go on."""
+
+
 class Trainer:
     """One training run.
 
@@ -262,7 +266,8 @@ class Trainer:
     def _call(self, hook: str, *arguments: Any) -> None:
         for callback in self.callbacks:
             if self.ranks.first or callback.on_all_ranks:
-                getattr(callback, hook)(self, *arguments)
+                with suppress(_EvaluationEnded):
+                    getattr(callback, hook)(self, *arguments)
 
     def _lead(self, hook: str, *arguments: Any) -> None:
         """Run callbacks, while the other ranks wait for rank 0."""
@@ -366,6 +371,9 @@ class Trainer:
 
         def report(done: int, total: int) -> None:
             self.ranks.tick()
+            if waiting_signal():
+                # torchrun kills its ranks half a minute after it has asked them to end.
+                raise _EvaluationEnded
             if progress is not None:
                 progress(done, total)
 
