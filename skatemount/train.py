@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -44,7 +45,7 @@ def train(
 
     from skatemount.training.distributed import JoinedRanks, joined
 
-    with joined(config) as ranks:
+    with joined(config, overrides) as ranks:
         if isinstance(ranks, JoinedRanks) and not ranks.first:
             from skatemount.training.follower import follow
 
@@ -170,6 +171,9 @@ def _final_evaluation(trainer: Trainer) -> Evaluation | None:
 
 def main() -> None:
     """Run the program."""
+    if os.environ.get("TORCHELASTIC_RUN_ID"):
+        # PyTorch's C++ frames about a lost rank would hide the one line that says which.
+        os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")
     with exiting_by_signals("train"):
         from skatemount.rendering import opengl
 

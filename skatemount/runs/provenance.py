@@ -14,6 +14,8 @@ PACKAGES = (
     "warp-lang", "numpy", "hydra-core", "omegaconf", "safetensors", "tensorboard",
 )  # fmt: skip
 
+_COMPUTING = ("skatemount", "torch", "mujoco")
+
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -65,6 +67,17 @@ def git_report(package: Path = _PACKAGE) -> str:
     missing = f"# no difference, git: {reason}\n" if commit and reason else ""
     commit = commit.strip() or "none: the repository has no commit"
     return f"# commit {commit}\n# status {state}\n{listing}{missing}{difference}"
+
+
+def code_versions(package: Path = _PACKAGE) -> dict[str, str]:
+    """Return the versions of what computes a training, with the commit of the source tree if it is a git checkout.
+
+    Args:
+        package: As for `git_report`.
+    """
+    versions = {name: version for name, version in package_versions().items() if name in _COMPUTING}
+    found = git_report(package).partition("\n")[0].removeprefix("# commit ")
+    return versions if found.startswith(("#", "none")) else versions | {"commit": found}
 
 
 def _git(folder: Path, *arguments: str) -> tuple[str, str]:

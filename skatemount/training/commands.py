@@ -53,7 +53,8 @@ def what_is_left(trainer: Trainer) -> str:
     """
     run, frames, ranks = trainer.run, trainer.saved_frames, trainer.ranks
     if not ranks.first:
-        return f"rank 0 has the run {run.path}"
+        # It is on another machine, or rank 0 has said it.
+        return f"rank 0 has the run {run.path}; {_resume(f'resume={run.path}', ranks)}"
     if not frames:
         return f"nothing was trained in {run.path}" if run.path.exists() else "nothing was trained"
     if not is_run(run.path):

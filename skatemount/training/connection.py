@@ -17,6 +17,9 @@ REPORT_TIME = 3.0
 """Time in which ranks that lost another one say that they are still there, s."""
 
 
+AGAIN = "; to go on, start torchrun on every machine again, with resume=<the run on the machine of rank 0>"
+
+
 class RankLost(ConnectionError):
     """Another rank has ended or does not answer, so the training cannot go on. The message is one line."""
 
@@ -128,7 +131,7 @@ class Connection:
         try:
             return self.store.check(list(keys))
         except RuntimeError:
-            raise self._fail("the process of torchrun that keeps the ranks together has ended") from None
+            raise self._fail(f"the torchrun of rank 0 has ended{AGAIN}") from None
 
     def _fail(self, message: str) -> RankLost:
         self._lost = RankLost(message)

@@ -29,7 +29,9 @@ from torch.distributed.rendezvous import rendezvous
 
 from skatemount import config as configuration
 from skatemount.config import TrainConfig
+from skatemount.runs.provenance import code_versions
 from skatemount.runs.serialization import from_bytes, to_bytes
+from skatemount.runs.sweep import key_of
 from skatemount.training.addresses import use_interface_to
 from skatemount.training.connection import START_TIMEOUT, Connection, RankLost
 from skatemount.utils.devices import choose_device
@@ -272,25 +274,31 @@ class JoinedRanks(Ranks):
             if self._waited_for and not self._connection.is_lost:
                 self._tell(Word.END)
 
-    def check_settings(self, config: TrainConfig) -> None:
-        """Compare the settings with which the ranks were started.
+    def check_settings(self, config: TrainConfig, overrides: Sequence[str] = ()) -> None:
+        """Compare the settings with which the ranks were started, and the versions of what computes.
+
+        Args:
+            config: Every setting.
+            overrides: The overrides of the command line.
 
         Raises:
-            ConfigError: On rank 0, the first difference.
+            ConfigError: On rank 0, the first difference, as it is written on the command lines if it is there.
             SystemExit: On the other ranks, if there is any.
         """
-        values = _flat(configuration.to_dict(config)) | {"torch": str(torch.__version__)}
-        sent = self._connection.broadcast(to_bytes({"settings": [[key, repr(value)] for key, value in values.items()]}))
-        theirs = dict(from_bytes(sent)["settings"])
-        differing = [key for key in {**theirs, **values} if theirs.get(key) != repr(values.get(key))]
-        found = [key for key in differing if not any(f"{key}.".startswith(f"{each}.") for each in MAY_DIFFER)]
-        message = ""
-        if found:
-            key = found[0]
-            message = (
-                f"{key}={values.get(key)} on rank {self.rank}, but {theirs.get(key)} on rank 0; start all ranks with "
-                "the same settings and the same versions"
-            )
+        written = {key_of(each): each.partition("=")[2] for each in overrides}
+        values = {key: str(value) for key, value in _flat(configuration.to_dict(config)).items()}
+        own = (written, values, code_versions())
+        theirs: list[dict[str, str]] = json.loads(self._connection.broadcast(json.dumps(own).encode()))
+        asked, settings, versions = zip(own, theirs)
+        # One of two machines may have it without git.
+        known = versions[0].keys() & versions[1].keys()
+        here, there = ({key: value for key, value in each.items() if key in known} for each in versions)
+        message = difference(here, there, self.rank)
+        if not message and (message := difference(settings[0], settings[1], self.rank)):
+            # A file of a group sets much that nobody has written.
+            message = difference(asked[0], asked[1], self.rank) or message
+        if message:
+            message += "; start all ranks with the same settings and the same versions"
         if not self.first:
             self._connection.send(message.encode())
         messages = [data.decode() for data in self._connection.receive_all().values() if data] if self.first else []
@@ -314,11 +322,12 @@ def current() -> Ranks:
 
 
 @contextlib.contextmanager
-def joined(config: TrainConfig) -> Iterator[Ranks]:
+def joined(config: TrainConfig, overrides: Sequence[str] = ()) -> Iterator[Ranks]:
     """Join the other ranks for a ``with`` block, if ``torchrun`` started this process as one of several.
 
     Args:
         config: The settings with which this rank was started.
+        overrides: The overrides of its command line.
 
     Raises:
         ConfigError: The ranks were started with different settings, or a machine has fewer GPUs than ranks.
@@ -349,7 +358,10 @@ def joined(config: TrainConfig) -> Iterator[Ranks]:
             dist.init_process_group(
                 backend, store=store, rank=rank, world_size=size, timeout=timedelta(seconds=timeout)
             )
-        ranks.check_settings(config)
+        ranks.check_settings(config, overrides)
+        if rank and not launched.local_rank:
+            # The only line of a machine that does not have rank 0.
+            print(f"rank {rank} of {size} has joined; rank 0 at {launched.address} shows the progress", flush=True)
         _current = ranks
         yield ranks
         failed = False
@@ -377,6 +389,23 @@ def _choose_gpu(config: TrainConfig) -> bool:
             )
         torch.cuda.set_device(local)
     return choose_device(physics.device).type == "cuda"
+
+
+def difference(own: dict[str, str], theirs: dict[str, str], rank: int) -> str:
+    """Return in words the first difference between what this rank and rank 0 have; "" if there is none.
+
+    Args:
+        own: Values of this rank.
+        theirs: Values of rank 0.
+        rank: Number of this rank.
+    """
+    for key in {**theirs, **own}:
+        if own.get(key) == theirs.get(key) or any(f"{key}.".startswith(f"{each}.") for each in MAY_DIFFER):
+            continue
+        if key not in own:
+            return f"{key}={theirs[key]} on rank 0, but not on rank {rank}"
+        return f"{key}={own[key]} on rank {rank}, but {theirs.get(key, 'not')} on rank 0"
+    return ""
 
 
 def _flat(values: dict[str, Any], where: str = "") -> dict[str, Any]:

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 import torch
+from namespaces import ADDRESSES, two_machines
 from rank_callbacks import HandsOver
 from tiny import BATCH, TINY
 
@@ -22,6 +23,7 @@ from skatemount.config import compose
 from skatemount.runs.checkpoint import load_policy, load_training_state, load_world_state, step_folder
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.metrics import STEP
+from skatemount.training.distributed import MAY_DIFFER, difference
 from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
 
@@ -265,6 +267,13 @@ def test_a_signal_to_one_rank_ends_all_after_the_same_iteration(tmp_path: Path) 
 
 
 @pytest.mark.slow
+def test_a_signal_ends_an_evaluation_so_that_the_iteration_is_saved(tmp_path: Path) -> None:
+    done = torchrun(*command(tmp_path, "AskedToEndInEvaluation"), status=1)
+    assert "ended by SIGTERM; 64 steps are saved in " in done.stderr
+    assert [row[STEP] for row in rows(the_run(tmp_path))] == [BOTH]
+
+
+@pytest.mark.slow
 def test_weights_that_differ_end_the_run(tmp_path: Path) -> None:
     done = torchrun(*command(tmp_path, "Drifts"), status=1)
     assert "the weights of rank 1 differ from those of rank 0" in done.stderr
@@ -278,28 +287,73 @@ def test_ranks_with_other_settings_are_refused(tmp_path: Path) -> None:
     assert done.stderr.count("skatemount.train: ") == 1 and not list(tmp_path.iterdir())
 
 
+def test_a_difference_is_named_as_it_is_written() -> None:
+    assert difference({"board": "mini"}, {"seed": "1"}, 1) == "seed=1 on rank 0, but not on rank 1"
+    assert difference({"board": "mini"}, {}, 2) == "board=mini on rank 2, but not on rank 0"
+    assert difference({"mujoco": "3.9"}, {"mujoco": "3.8"}, 1) == "mujoco=3.9 on rank 1, but 3.8 on rank 0"
+    assert difference({"logger.root": "a", "physics.threads": "4"}, {"resume": "b"}, 1) == ""
+
+
 @pytest.mark.slow
-def test_the_commands_of_two_machines_in_the_docs(tmp_path: Path, repo_root: Path) -> None:
-    """The two commands as they stand there, but for the address, the port, and a smaller training."""
+def test_a_group_that_differs_is_named_and_not_what_its_file_sets(tmp_path: Path) -> None:
+    given = " ".join([*QUIET, "stage=balance", f"logger.root={tmp_path}"])
+    script = f"if [ $RANK = 1 ]; then given=board=mini; fi; {sys.executable} -m skatemount.train {given} $given"
+    done = torchrun("--no-python", "bash", "-c", script, status=1)
+    assert "skatemount.train: board=mini on rank 1, but not on rank 0; start all ranks" in done.stderr
+
+
+def commands_of_the_docs(repo_root: Path, root: Path, address: str, port: int) -> list[list[str]]:
+    """Return the two commands as they stand there, but for the address, the port, and a smaller training."""
     page = (repo_root / "docs" / "scale.md").read_text(encoding="utf-8")
     section = page[page.index("## Two laptops") : page.index("## One machine")]
     found = [each.replace("\\\n", " ") for each in re.findall(r"\$ (torchrun(?:.*\\\n)*.*)", section)]
     assert [command.count(f"--node-rank={rank}") for rank, command in enumerate(found)] == [1, 1]
-    port = free_port()
-    smaller = [*QUIET, f"total_frames={2 * BOTH}", f"logger.root={tmp_path}"]
+    smaller = [*QUIET, f"total_frames={2 * BOTH}", f"logger.root={root}"]
     given = {each.partition("=")[0] for each in smaller}
-    nodes = []
+    launcher = [sys.executable, "-W", "ignore", "-m", "torch.distributed.run"]
+    commands = []
     for command in found:
-        words = shlex.split(command.replace("192.168.1.10", "127.0.0.2").replace("29500", str(port)))
-        assert words.pop(0) == "torchrun" and "--master-addr=127.0.0.2" in words
-        words = [word for word in words if word.partition("=")[0] not in given]
-        launcher = [sys.executable, "-W", "ignore", "-m", "torch.distributed.run"]
-        nodes.append(subprocess.Popen([*launcher, *words, *smaller], stderr=subprocess.PIPE, text=True, cwd=tmp_path))
+        words = shlex.split(command.replace("192.168.1.10", address).replace("29500", str(port)))
+        assert words.pop(0) == "torchrun" and f"--master-addr={address}" in words
+        commands.append([*launcher, *(word for word in words if word.partition("=")[0] not in given), *smaller])
+    return commands
+
+
+def check_two_machines(commands: list[list[str]], root: Path, address: str) -> None:
+    """Run a command on each of two machines, and check what they print and train."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    nodes = [subprocess.Popen(command, text=True, cwd=root, **pipes) for command in commands]
+    printed = []
     for node in nodes:
-        _, errors = node.communicate(timeout=3600)
+        output, errors = node.communicate(timeout=3600)
         assert node.returncode == 0, errors[-4000:]
-    run = the_run(tmp_path)
+        printed.append(output)
+    assert f"rank 1 of 2 has joined; rank 0 at {address} shows the progress" in printed[1]
+    assert "has joined" not in printed[0]
+    run = the_run(root)
     assert state_of(run)["progress"]["ranks"] == 2 and rows(run)[-1][STEP] == 2 * BOTH
+
+
+@pytest.mark.slow
+def test_the_commands_of_two_machines_in_the_docs(tmp_path: Path, repo_root: Path) -> None:
+    commands = commands_of_the_docs(repo_root, tmp_path, "127.0.0.2", free_port())
+    check_two_machines(commands, tmp_path, "127.0.0.2")
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_docs_in_two_networks(tmp_path: Path, repo_root: Path) -> None:
+    """As on two machines, the second process reaches the first through a network only."""
+    with two_machines() as enter:
+        commands = commands_of_the_docs(repo_root, tmp_path, ADDRESSES[0], 29500)
+        commands = [[*there, *command] for there, command in zip(enter, commands)]
+        check_two_machines(commands, tmp_path, ADDRESSES[0])
+
+
+def test_the_docs_name_all_that_may_differ(repo_root: Path) -> None:
+    page = (repo_root / "docs" / "scale.md").read_text(encoding="utf-8")
+    listed = page[page.index("Only these may differ:") :].split("\n\n")[0]
+    # What is resumed is said elsewhere: only rank 0 needs it.
+    assert [each for each in MAY_DIFFER if each != "resume" and f"`{each}" not in listed] == []
 
 
 @pytest.mark.slow
