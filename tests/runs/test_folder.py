@@ -13,7 +13,7 @@ import skatemount.runs.shipped
 from skatemount.runs.checkpoint import POLICY_FILE, PolicyCard, save_policy
 from skatemount.runs.find import find_checkpoint
 from skatemount.runs.folder import RunFolder
-from skatemount.runs.provenance import git_report
+from skatemount.runs.provenance import code_versions, git_report
 from skatemount.utils.errors import ConfigError
 
 
@@ -211,9 +211,11 @@ def test_git_report_tells_commit_status_and_difference(tmp_path: Path) -> None:
     (package / "a.py").write_text("old = 1\n")
     git(package.parent, "init", "-q")
     assert "none: the repository has no commit" in git_report(package)
+    assert "commit" not in code_versions(package)
     git(package.parent, "add", ".")
     git(package.parent, "commit", "-qm", "first")
     assert re.search(r"^# commit [0-9a-f]{40}\n# status clean\n$", git_report(package))
+    assert len(code_versions(package)["commit"]) == 40 and {"torch", "mujoco"} < code_versions(package).keys()
     (package / "a.py").write_text("new = 2\n")
     (package / "b.py").write_text("")
     report = git_report(package)
@@ -227,6 +229,7 @@ def test_git_report_of_an_installed_package_tells_its_version(tmp_path: Path) ->
     report = git_report(package)
     assert report.startswith("# not a git checkout: skatemount")
     assert str(package) in report
+    assert "commit" not in code_versions(package)
 
 
 def test_a_run_leads_to_its_newest_part(runs_root: Path) -> None:
