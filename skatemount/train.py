@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from skatemount.utils.ranks import launch
+from skatemount.utils.ranks import launch, quiet_torch
 from skatemount.utils.signals import exiting_by_signals
 
 if TYPE_CHECKING:
@@ -171,9 +170,7 @@ def _final_evaluation(trainer: Trainer) -> Evaluation | None:
 
 def main() -> None:
     """Run the program."""
-    if os.environ.get("TORCHELASTIC_RUN_ID"):
-        # PyTorch's C++ frames about a lost rank would hide the one line that says which.
-        os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")
+    quiet_torch()
     with exiting_by_signals("train"):
         from skatemount.rendering import opengl
 

@@ -49,7 +49,7 @@ def test_no_stage_lists_the_stages(command: Callable[..., Any]) -> None:
             "+stage=balanced: there is no stage balanced (did you mean balance?); there are: ",
         ),
         (["+stage=balance", "total_frame=3"], "total_frame"),
-        (["+stage=balance", "reward.alive.weight=-1", "physics.num_worlds=2"], "reward.alive.weight=-1.0 must be"),
+        (["+stage=balance", "reward.alive.weight=-1", "physics.num_worlds=2"], "reward.alive.weight=-1 must be"),
         (["+stage=balance", "network=smal"], "small"),
         (["+stage=mount", "init_from=runs/none", "physics.num_worlds=2"], "init_from=runs/none: not found"),
         (["+stage=mount", "init_from=pretrained:none", "physics.num_worlds=2"], "no such policy"),

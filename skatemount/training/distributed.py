@@ -33,13 +33,11 @@ from skatemount.runs.provenance import code_versions
 from skatemount.runs.serialization import from_bytes, to_bytes
 from skatemount.runs.sweep import key_of
 from skatemount.training.addresses import use_interface_to
+from skatemount.training.agreement import difference, flat
 from skatemount.training.connection import START_TIMEOUT, Connection, RankLost
 from skatemount.utils.devices import choose_device
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.ranks import ALONE, Ranks, launch
-
-MAY_DIFFER = ("logger", "torch_threads", "resume", "physics.threads", "physics.device", "plugins")
-"""Settings that ranks need not share: threads and device are each rank's own, and of the others rank 0's count."""
 
 
 class Word(enum.IntEnum):
@@ -286,7 +284,7 @@ class JoinedRanks(Ranks):
             SystemExit: On the other ranks, if there is any.
         """
         written = {key_of(each): each.partition("=")[2] for each in overrides}
-        values = {key: str(value) for key, value in _flat(configuration.to_dict(config)).items()}
+        values = {key: str(value) for key, value in flat(configuration.to_dict(config)).items()}
         own = (written, values, code_versions())
         theirs: list[dict[str, str]] = json.loads(self._connection.broadcast(json.dumps(own).encode()))
         asked, settings, versions = zip(own, theirs)
@@ -389,28 +387,3 @@ def _choose_gpu(config: TrainConfig) -> bool:
             )
         torch.cuda.set_device(local)
     return choose_device(physics.device).type == "cuda"
-
-
-def difference(own: dict[str, str], theirs: dict[str, str], rank: int) -> str:
-    """Return in words the first difference between what this rank and rank 0 have; "" if there is none.
-
-    Args:
-        own: Values of this rank.
-        theirs: Values of rank 0.
-        rank: Number of this rank.
-    """
-    for key in {**theirs, **own}:
-        if own.get(key) == theirs.get(key) or any(f"{key}.".startswith(f"{each}.") for each in MAY_DIFFER):
-            continue
-        if key not in own:
-            return f"{key}={theirs[key]} on rank 0, but not on rank {rank}"
-        return f"{key}={own[key]} on rank {rank}, but {theirs.get(key, 'not')} on rank 0"
-    return ""
-
-
-def _flat(values: dict[str, Any], where: str = "") -> dict[str, Any]:
-    """Return nested settings by their full names."""
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        found |= _flat(value, f"{where}{name}.") if isinstance(value, dict) else {f"{where}{name}": value}
-    return found

@@ -36,11 +36,7 @@ from skatemount.training.state import Stateful, copied, load_parts, save_parts
 from skatemount.training.trainer_state import TrainerState
 from skatemount.utils.devices import seconds
 from skatemount.utils.errors import ConfigError
-from skatemount.utils.signals import Ended, ending_by_signals, shielded, waiting_signal
-
-
-class _EvaluationEnded(Exception):
-    """A signal waits until the present iteration is saved, so the evaluation does not go on."""
+from skatemount.utils.signals import Ended, EvaluationEnded, ending_by_signals, shielded, waiting_signal
 
 
 class Trainer:
@@ -266,7 +262,7 @@ class Trainer:
     def _call(self, hook: str, *arguments: Any) -> None:
         for callback in self.callbacks:
             if self.ranks.first or callback.on_all_ranks:
-                with suppress(_EvaluationEnded):
+                with suppress(EvaluationEnded):
                     getattr(callback, hook)(self, *arguments)
 
     def _lead(self, hook: str, *arguments: Any) -> None:
@@ -373,7 +369,7 @@ class Trainer:
             self.ranks.tick()
             if waiting_signal():
                 # torchrun kills its ranks half a minute after it has asked them to end.
-                raise _EvaluationEnded
+                raise EvaluationEnded
             if progress is not None:
                 progress(done, total)
 

@@ -67,6 +67,12 @@ def launch() -> Launch:
     )
 
 
+def quiet_torch() -> None:
+    """Keep PyTorch's C++ frames about a lost rank from hiding the line that says which; call before it is imported."""
+    if os.environ.get("TORCHELASTIC_RUN_ID"):
+        os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")
+
+
 def _number(name: str, otherwise: Any) -> Any:
     """Return a variable of the environment as a number, or another value if it is not set."""
     text = os.environ.get(name)

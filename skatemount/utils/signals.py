@@ -91,6 +91,10 @@ def ending_by_signals() -> Iterator[None]:
         _requests = None
 
 
+class EvaluationEnded(Exception):
+    """A signal waits until the present iteration is saved, so the evaluation does not go on."""
+
+
 def waiting_signal() -> int:
     """Return the number of a signal that waits until the end of a `shielded` block; 0 if there is none."""
     return _requests.received[0] if _requests is not None and _requests.waiting else 0

@@ -63,6 +63,7 @@ def test_it_acts_as_with_its_own_observation(tmp_path: Path) -> None:
 def test_a_training_imitates_it_and_stops_to(tmp_path: Path) -> None:
     frames = 32 * 30
     settings = ["algorithm.teacher_frames=800", "algorithm.target_kl=null", f"total_frames={frames}"]
+    settings += ["algorithm.epochs=4", "algorithm.minibatches=4"]  # enough updates to see it fall
     _, watcher = taught(tmp_path, *settings)
     losses = [metrics.get("Loss/teacher") for metrics in watcher.metrics]
     # The logged loss has its weight, which has fallen to 13/25 at iteration 12.

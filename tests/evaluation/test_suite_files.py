@@ -27,7 +27,7 @@ def test_an_unknown_suite_is_refused_with_those_that_there_are() -> None:
     [
         ("name: own\nstage: unfixed\nsede: 4\n", "sede"),
         ("name: own\nstage: unfixed\nseed: many\n", "suite.seed"),
-        ("name: own\nstage: unfixed\nseed: -1\n", "suite.seed=-1 must be from 0"),
+        ("name: own\nstage: unfixed\nseed: -1\n", "suite.seed=-1 must be 0 or more"),
         ("name: own\n", "suite.stage='' and suite.members=[]: a suite has one of the two"),
     ],
 )

@@ -23,7 +23,7 @@ from skatemount.config import compose
 from skatemount.runs.checkpoint import load_policy, load_training_state, load_world_state, step_folder
 from skatemount.runs.folder import RunFolder
 from skatemount.runs.metrics import STEP
-from skatemount.training.distributed import MAY_DIFFER, difference
+from skatemount.training.agreement import MAY_DIFFER
 from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
 
@@ -285,13 +285,6 @@ def test_ranks_with_other_settings_are_refused(tmp_path: Path) -> None:
     done = torchrun("--no-python", "bash", "-c", f"{sys.executable} -m skatemount.train {given}", status=1)
     assert "skatemount.train: seed=1 on rank 1, but 0 on rank 0; start all ranks with the same" in done.stderr
     assert done.stderr.count("skatemount.train: ") == 1 and not list(tmp_path.iterdir())
-
-
-def test_a_difference_is_named_as_it_is_written() -> None:
-    assert difference({"board": "mini"}, {"seed": "1"}, 1) == "seed=1 on rank 0, but not on rank 1"
-    assert difference({"board": "mini"}, {}, 2) == "board=mini on rank 2, but not on rank 0"
-    assert difference({"mujoco": "3.9"}, {"mujoco": "3.8"}, 1) == "mujoco=3.9 on rank 1, but 3.8 on rank 0"
-    assert difference({"logger.root": "a", "physics.threads": "4"}, {"resume": "b"}, 1) == ""
 
 
 @pytest.mark.slow
