@@ -102,6 +102,8 @@ def tiny(words: list[str], program: str) -> list[str]:
         more = ["page.films=0"]
     if program == "record" and any(word.startswith("episodes=") for word in words):
         more = ["episodes=2" if word == "episode=0" else word for word in more]
+    if program == "export" and "episodes=0" in words:
+        more = ["physics.threads=1"]  # no start states, so no suites
     if "resume=latest" in words:
         more = ["total_frames=96"]
     if "curriculum=paper" in words:
