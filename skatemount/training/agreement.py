@@ -1,4 +1,4 @@
-"""What ranks must have in common before they train together, and how a difference is said."""
+"""Agreement of the ranks: what must be the same before they train together, and how a difference is said."""
 
 from __future__ import annotations
 
