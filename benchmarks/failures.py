@@ -37,7 +37,7 @@ MOST = 0.6
 
 @dataclass
 class LastSecond:
-    """What happened in the last second of ``[N]`` episodes, and before.
+    """Contacts in the last second of ``[N]`` episodes, and how long each robot was mounted.
 
     Attributes:
         early: ``[N]`` bool, a termination ended the episode.

@@ -1,4 +1,4 @@
-"""What ranks must have in common."""
+"""Differences between ranks, in words."""
 
 from __future__ import annotations
 
