@@ -16,6 +16,7 @@ from skatemount.utils.errors import ConfigError
 
 GROUP = "launcher"
 _KEYS = (GROUP, "hydra/launcher")
+_AT_A_TIME = "hydra.launcher.n_jobs"
 _PLUGINS = {"joblib": "hydra_joblib_launcher", "submitit": "hydra_submitit_launcher"}
 
 ENDING = 60.0
@@ -75,6 +76,36 @@ def cores_of_job(launcher: Mapping[str, Any], jobs: int | None) -> int | None:
     else:
         return None
     return max(1, cores // max(1, min(together, jobs or together)))
+
+
+def jobs_at_a_time(jobs: int, cores: int) -> int:
+    """Return how many jobs of one core each to run at a time, so that all of them end soonest.
+
+    With as many as there are cores, three jobs on two cores would leave a core idle while the last one runs. So up to
+    twice as many share the cores.
+
+    Args:
+        jobs: Number of jobs, at least 1.
+        cores: Number of cores.
+    """
+
+    def time(together: int) -> float:
+        full, rest = divmod(jobs, together)
+        return full * max(1.0, together / cores) + (max(1.0, rest / cores) if rest else 0.0)
+
+    return min(range(min(jobs, cores), min(jobs, 2 * cores) + 1), key=lambda together: (time(together), together))
+
+
+def chosen_settings(settings: Sequence[str], jobs: int | None) -> list[str]:
+    """Return the settings of the launcher that the command line leaves open and the number of jobs decides.
+
+    Args:
+        settings: Settings of the command line in Hydra's form.
+        jobs: As for `cores_of_job`.
+    """
+    if named(settings) != "joblib" or not jobs or any(key_of(each) == _AT_A_TIME for each in settings):
+        return []
+    return [f"{_AT_A_TIME}={jobs_at_a_time(jobs, available_cores())}"]
 
 
 _before: str | None = None

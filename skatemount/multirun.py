@@ -84,6 +84,7 @@ def run(verb: Callable[..., float | None], program: str, settings: Sequence[str]
             print(f"sweep: {sweep.path}{again if sweep.is_old else ''}", flush=True)
         application = hydra.main(str(configuration.config_dir().absolute()), program, version_base="1.3")
         left = None if sweep.total is None else sweep.total - (_finished(sweep) if program == TRAIN else 0)
+        sys.argv += launchers.chosen_settings(settings, left)
         launcher = launchers.named(settings) or ""
         submits = launcher.startswith("submitit")
         if submits:

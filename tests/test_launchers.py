@@ -81,6 +81,62 @@ def test_a_job_has_its_share_of_eight_cores(
     assert launchers.cores_of_job(launcher, jobs) == expected
 
 
+@pytest.mark.parametrize(
+    ("jobs", "count", "expected"),
+    [(1, 2, 1), (2, 2, 2), (3, 2, 3), (4, 2, 2), (5, 2, 3), (7, 2, 4), (100, 2, 2), (3, 8, 3), (20, 16, 20), (5, 1, 1)],
+)
+def test_so_many_jobs_at_a_time_end_all_soonest(jobs: int, count: int, expected: int) -> None:
+    assert launchers.jobs_at_a_time(jobs, count) == expected
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8])
+def test_jobs_beside_each_other_are_not_slower_than_one_after_the_other(count: int) -> None:
+    for jobs in range(count, 40):
+        together, running, left = launchers.jobs_at_a_time(jobs, count), 0, jobs
+        assert count <= together <= 2 * count
+        rounds = 0.0
+        while left:
+            running = min(together, left)
+            rounds, left = rounds + max(1.0, running / count), left - running
+        # One after the other, with all cores that work without a loss, they take jobs / count.
+        assert rounds - jobs / count < 1 and (jobs >= 2 * count or rounds == jobs / count)
+
+
+def test_the_number_of_jobs_at_a_time_is_chosen(
+    command: Callable[..., Any], runs_root: Path, monkeypatch: pytest.MonkeyPatch, fresh_workers: None
+) -> None:
+    def at_a_time(config: Any, overrides: list[str], job: Any) -> float:
+        from hydra.core.hydra_config import HydraConfig
+
+        return Score.of(HydraConfig.get().launcher.n_jobs, 10)
+
+    monkeypatch.setattr(launchers, "available_cores", lambda: 2)
+    status, out, err = command(at_a_time, "-m", "stage=balance", "seed=1,2,3", "launcher=joblib")
+    assert status == 0, out + err
+    (sweep,) = sweeps(runs_root)
+    records = [json.loads(file.read_text()) for file in sorted((sweep / "jobs").iterdir())]
+    assert [record["success"] for record in records] == [0.3] * 3
+
+
+@pytest.mark.parametrize(
+    ("settings", "jobs", "expected"),
+    [
+        (["hydra/launcher=joblib"], 3, ["hydra.launcher.n_jobs=3"]),
+        (["launcher=joblib", "hydra.launcher.n_jobs=-1"], 3, []),
+        (["launcher=joblib", "++hydra.launcher.n_jobs=5"], 3, []),
+        (["launcher=joblib"], None, []),
+        (["launcher=joblib"], 0, []),
+        (["launcher=submitit_local"], 3, []),
+        ([], 3, []),
+    ],
+)
+def test_a_number_of_jobs_that_is_given_stays(
+    settings: list[str], jobs: int | None, expected: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(launchers, "available_cores", lambda: 2)
+    assert launchers.chosen_settings(settings, jobs) == expected
+
+
 def test_jobs_of_one_process_have_the_same_share(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(launchers, "_before", None)
     monkeypatch.setattr(cores.os, "sched_getaffinity", lambda process: set(range(16)), raising=False)
