@@ -112,6 +112,11 @@ def test_words_of_other_frameworks_lead_to_the_settings_of_the_table() -> None:
     assert [word for word, setting in known.items() if f"`{setting}`" not in named[word]] == []
 
 
+def test_no_page_is_lost_behind_one_of_sphinx() -> None:
+    """Sphinx writes its own pages of these names over ours."""
+    assert [page.name for page in PAGES if page.parent == ROOT / "docs" and page.stem in ("search", "genindex")] == []
+
+
 def test_every_page_is_reachable() -> None:
     docs = ROOT / "docs"
     listed = {"index"}
