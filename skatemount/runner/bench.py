@@ -8,6 +8,8 @@ from collections.abc import Callable, Sequence
 from statistics import NormalDist
 from typing import Any
 
+import numpy as np
+
 from skatemount.runner.controller import Controller
 from skatemount.runner.folder import PolicyFolder, RunnerError
 from skatemount.runner.simulation import EpisodeResult, SimulatedWorld, run_episode
@@ -47,7 +49,8 @@ def run_suite(
     for index, variant in enumerate(variants):
         world, controller = SimulatedWorld(folder, variant), Controller(folder, variant["observe"])
         for row in range(len(range(index, count, len(variants)))):
-            success, ended_by, steps = run_episode(folder, controller, world, variant, row, seed)
+            random = np.random.default_rng((seed, row))
+            success, ended_by, steps = run_episode(controller, world, variant, row, random)
             start = tuple(round(float(value), 4) for value in world.starts["start"][row])
             results.append(
                 EpisodeResult(

@@ -201,25 +201,24 @@ class EpisodeResult:
 
 
 def run_episode(
-    folder: PolicyFolder, controller: Controller, world: SimulatedWorld, variant: dict[str, Any], row: int, seed: int
+    controller: Controller, world: SimulatedWorld, variant: dict[str, Any], row: int, random: np.random.Generator
 ) -> tuple[bool, str, int]:
     """Run an episode.
 
-    The noise of sensors and observation is drawn here, from the same distributions as in an evaluation but from other
-    random numbers. Everything else that is random comes with the start state.
+    The noise of sensors and observation is drawn from the same distributions as in an evaluation. Everything else
+    that is random comes with the start state.
 
     Args:
-        folder: The exported policy.
-        controller: Its controller for the variant.
+        controller: The policy's controller for the variant.
         world: The variant's world.
         variant: Its part of the card.
         row: Number of the start state.
-        seed: Seed of the noise.
+        random: Source of the noise. In each control step it gives the noise of the observation, then the errors of the
+            sensors.
 
     Returns:
         Whether it succeeded, what ended it, and the number of control steps.
     """
-    random = np.random.default_rng((seed, row))
 
     def noise(size: int) -> np.ndarray | None:
         return random.uniform(-1, 1, size).astype(np.float32) if size else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import exported
+import numpy as np
 import pytest
 from runner_parity import compare
 
@@ -30,10 +31,10 @@ def test_an_episode_can_be_repeated() -> None:
     folder = PolicyFolder(exported.folder())
     (part,) = folder.suites["sensed"]["variants"]
     world, controller = SimulatedWorld(folder, part), Controller(folder, part["observe"])
-    first = run_episode(folder, controller, world, part, 1, seed=0)
+    first = run_episode(controller, world, part, 1, np.random.default_rng(0))
     last = world.data.qpos.copy()
-    run_episode(folder, controller, world, part, 2, seed=0)
-    assert run_episode(folder, controller, world, part, 1, seed=0) == first
+    run_episode(controller, world, part, 2, np.random.default_rng(0))
+    assert run_episode(controller, world, part, 1, np.random.default_rng(0)) == first
     assert (world.data.qpos == last).all()
-    run_episode(folder, controller, world, part, 1, seed=1)
+    run_episode(controller, world, part, 1, np.random.default_rng(1))
     assert (world.data.qpos != last).any()
