@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from skatemount.config import compose_task
 from skatemount.reports import curves
 from skatemount.reports.charts import Chart
 from skatemount.reports.episodes import Evaluated, Film
@@ -30,6 +31,9 @@ from skatemount.utils.formatting import format_count
 
 MAX_FAILED = 12
 """Failed episodes in the table."""
+
+QUOTED = "approach-unfixed"
+"""The suite that pages quote for a policy that mounts boards."""
 
 
 @dataclass
@@ -193,11 +197,31 @@ def _tiles(content: Content) -> list[tuple[str, str, str]]:
 
 
 def headline(subject: Subject, results: Mapping[str, Result]) -> Result | None:
-    """Return the result that stands for a run: of the task or the stage of its training, else the first one."""
+    """Return the result that stands for a run, or None if there is none.
+
+    That is one of the stage of its training. Without it, it is that of `QUOTED` or of the first suite with the task of
+    the training: how a policy walks says nothing about how often it mounts.
+
+    Args:
+        subject: The run.
+        results: Its results by name.
+    """
     stage = subject.stages[-1].name if subject.stages else subject.card.stage if subject.card else ""
     named = (results.get(f"{stage} ({when})") for when in (FOR_PAGE, AT_END))
     own = (result for result in results.values() if result.stage == stage or result.name == OWN_TASK)
-    return next(filter(None, named), None) or next(own, None) or next(iter(results.values()), None)
+    if found := next(filter(None, named), None) or next(own, None):
+        return found
+    task = subject.card.config.get("success") if subject.card else None
+    same = {name: result for name, result in results.items() if task is not None and _task(result.stage) == task}
+    return same.get(QUOTED) or next(iter((same or results).values()), None)
+
+
+def _task(stage: str) -> str | None:
+    """Return the name of a stage's task; None for a stage that is not there, such as one of another folder."""
+    try:
+        return compose_task(stage).success if stage else None
+    except ConfigError:
+        return None
 
 
 def _episodes(count: int) -> str:

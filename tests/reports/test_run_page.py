@@ -153,5 +153,12 @@ def test_the_result_at_the_top_is_that_of_the_training(root: Path) -> None:
     both = {f"unfixed ({when})": results["gait"] for when in (AT_END, FOR_PAGE)}
     assert headline(subject, both | results) is both[f"unfixed ({FOR_PAGE})"]
     assert headline(subject, results | {f"unfixed ({AT_END})": results["far"]}) is results["far"]
+    robust = find_subject("pretrained:robust", root)
+    found = merged(parse({"suites": robust.card.suites}, "card"))
+    # No suite is of its own stage.
+    assert next(iter(found)) == "gait" and headline(robust, found).name == "approach-unfixed"
+    del found["approach-unfixed"]
+    assert headline(robust, found).name == "balance-fixed"
+    assert headline(robust, {"gait": found["gait"]}).name == "gait"
     assert dict(about_rows([subject]))["started from"] == ["scratch"]
     assert dict(about_rows([find_subject("pretrained:anywhere", root)]))["started from"][0].startswith("pretrained:")
