@@ -97,10 +97,19 @@ def fresh_workers() -> None:
     get_reusable_executor().shutdown(wait=True)
 
 
-@pytest.fixture
+AT_FIRST = torch.get_float32_matmul_precision(), torch.get_num_threads()
+"""Precision and threads of torch before anything was trained."""
+
+
+@pytest.fixture(autouse=True)
 def torch_as_it_was() -> Iterator[None]:
-    """Training sets torch's threads and precision for the whole process."""
-    precision, threads = torch.get_float32_matmul_precision(), torch.get_num_threads()
+    """Training sets torch's threads and precision for the whole process, also in a fixture of several tests.
+
+    On a processor that multiplies in bfloat16, a precision that is left behind changes the numbers of later tests.
+    """
+    precision, threads = AT_FIRST
+    torch.set_float32_matmul_precision(precision)
+    torch.set_num_threads(threads)
     yield
     torch.set_float32_matmul_precision(precision)
     torch.set_num_threads(threads)

@@ -80,7 +80,7 @@ WEIGHTS = {
 }
 """Trainings whose weights after five iterations are kept (the chain: five iterations a stage on average)."""
 
-POLICIES = ["approach", "balance", "best", "gait", "history", "mount", "unfixed"]
+POLICIES = ["approach", "best", "gait", "history", "mount", "unfixed"]
 
 STEPS = {
     "unfixed": "+stage=unfixed observation.noise=false",
