@@ -348,8 +348,8 @@ def test_a_policy_succeeds_as_often_on_both_engines(capsys: pytest.CaptureFixtur
             print(f"\n{name}: {result.successes} of {result.episodes}, interval {result.interval}")
     (low, high), (other_low, other_high) = (result.interval for result in results.values())
     cpu, warp = (result.successes for result in results.values())
-    # A rate of 1 lies outside of the interval of a slightly lower rate.
-    assert abs(cpu - warp) <= 2 or (low <= warp / 48 <= high and other_low <= cpu / 48 <= other_high)
+    # A rate of 1 lies outside of the interval of any lower rate, be it by one episode.
+    assert abs(cpu - warp) <= 1 or (low <= warp / 48 <= high and other_low <= cpu / 48 <= other_high)
     # The same episodes: from the same starts.
     first, second = (result.records.start for result in results.values())
     torch.testing.assert_close(first, second, atol=1e-4, rtol=0)
