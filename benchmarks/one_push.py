@@ -3,15 +3,15 @@
     python benchmarks/one_push.py pretrained:robust --rounds 8
 
 Robots mount the board as in the suite `pushed`, but without its pushes. After three seconds, each robot that has been
-mounted for at least half a second gets one push: its trunk's velocity jumps by a vector of a drawn length, up to
-`--fastest`, along the board or across it. Printed for each range of lengths and both directions:
+mounted for at least half a second gets one push: the velocity of its trunk jumps by up to `--fastest`, along the board
+or across it. The script prints a row for each direction and each range of speeds:
 
-* robots: how many were pushed;
+* robots: number of pushed robots;
 * kept: share of them that stayed mounted for the next second;
-* again: share that stayed mounted, or was mounted again for a whole second at the end of the episode, three seconds
-  after the push. The suite asks for that whole second, and its pushes come every one to two seconds.
+* again: share of them that was mounted throughout the last second of the episode, which ends three seconds after the
+  push. The suite asks for that second, and its pushes come every one to two seconds.
 
-With `--frozen` the joint targets stay as they were before the push, so that only the motors' springs and dampers act.
+With `--frozen` the joint targets stay as they were before the push, so the robot does not react to it.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ STOOD = 0.5
 
 @dataclass
 class Pushes:
-    """What the pushes of all rounds did; one entry for each pushed robot.
+    """Pushed robots of all rounds, with an entry for each robot.
 
     Attributes:
         speed: Length of the push, m/s.
         across: Bool, the push was across the board, not along it.
         kept: Bool, mounted without a break for a second after the push.
-        again: Bool, the episode succeeded.
+        again: Bool, mounted throughout the last second of the episode, which is its success.
     """
 
     speed: list[Tensor] = field(default_factory=list)

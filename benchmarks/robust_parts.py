@@ -1,10 +1,13 @@
 """Show what each part of the stage robust brings, at an equal number of steps, as a table and a figure.
 
-    python benchmarks/robust_parts.py --frames 4000000
+    python benchmarks/robust_parts.py --frames 1300000 algorithm.learning_rate=1e-3 \\
+        algorithm.min_learning_rate=3e-4 algorithm.target_kl=0.1 algorithm.final_target_kl=0.02
 
 Six trainings differ in one part each: all parts; one board instead of many; true observations; targets that arrive at
 once; no pushes; one frame instead of three. Each begins from scratch with the same seed and the same teacher, see
 `algorithm.teacher`. Every final policy is evaluated on the same suites.
+
+With the smaller learning rates of the stage, a training from scratch barely begins in so few steps.
 
 Trainings run one after the other. Start the script again to continue; finished work is not repeated. Settings after the
 options apply to every training, such as `physics.num_worlds=128`.

@@ -79,10 +79,10 @@ def cores_of_job(launcher: Mapping[str, Any], jobs: int | None) -> int | None:
 
 
 def jobs_at_a_time(jobs: int, cores: int) -> int:
-    """Return how many jobs of one core each to run at a time, so that all of them end soonest.
+    """Return the number of jobs to run at a time so that all of them end soonest, if each uses one core.
 
-    With as many as there are cores, three jobs on two cores would leave a core idle while the last one runs. So up to
-    twice as many share the cores.
+    With one job on each core, the last of three jobs on two cores would leave a core idle. So up to two jobs share a
+    core.
 
     Args:
         jobs: Number of jobs, at least 1.

@@ -102,15 +102,12 @@ AT_FIRST = torch.get_float32_matmul_precision(), torch.get_num_threads()
 
 
 @pytest.fixture(autouse=True)
-def torch_as_it_was() -> Iterator[None]:
-    """Training sets torch's threads and precision for the whole process, also in a fixture of several tests.
+def torch_as_it_was() -> None:
+    """Undo what an earlier test or fixture has trained: it sets torch's precision and threads for the whole process.
 
-    On a processor that multiplies in bfloat16, a precision that is left behind changes the numbers of later tests.
+    On a processor that multiplies in bfloat16, such a precision changes the numbers of this test.
     """
     precision, threads = AT_FIRST
-    torch.set_float32_matmul_precision(precision)
-    torch.set_num_threads(threads)
-    yield
     torch.set_float32_matmul_precision(precision)
     torch.set_num_threads(threads)
 

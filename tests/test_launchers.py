@@ -23,8 +23,6 @@ from skatemount.runs.sweep import Job, Score, SweepFolder
 from skatemount.utils import cores
 from skatemount.utils.cores import CORES
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was")
-
 
 @pytest.fixture
 def command(call_program: Callable[..., Any]) -> Callable[..., Any]:
@@ -92,9 +90,8 @@ def test_so_many_jobs_at_a_time_end_all_soonest(jobs: int, count: int, expected:
 @pytest.mark.parametrize("count", [1, 2, 3, 8])
 def test_jobs_beside_each_other_are_not_slower_than_one_after_the_other(count: int) -> None:
     for jobs in range(count, 40):
-        together, running, left = launchers.jobs_at_a_time(jobs, count), 0, jobs
+        together, left, rounds = launchers.jobs_at_a_time(jobs, count), jobs, 0.0
         assert count <= together <= 2 * count
-        rounds = 0.0
         while left:
             running = min(together, left)
             rounds, left = rounds + max(1.0, running / count), left - running

@@ -9,8 +9,6 @@ import pytest
 from skatemount.config import compose
 from skatemount.training.trainer import Trainer
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was")
-
 FRAMES = 900_000
 ENOUGH = 0.6
 """Success that the stage reaches with a wide margin after `FRAMES` steps: 0.83 with seed 0 (docs/decisions/0005)."""

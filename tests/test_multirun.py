@@ -26,7 +26,7 @@ from skatemount.training.callbacks import CheckpointCallback
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was", "no_pictures")
+pytestmark = pytest.mark.usefixtures("no_pictures")
 
 Verb = Callable[..., Any]
 

@@ -20,7 +20,7 @@ from skatemount.runs.folder import RunFolder
 from skatemount.train import train
 from skatemount.training.score import score_of
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was", "no_pictures")
+pytestmark = pytest.mark.usefixtures("no_pictures")
 
 
 @pytest.fixture(params=["closed pipe", "full disk", "ascii", "closed"])

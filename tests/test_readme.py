@@ -28,7 +28,7 @@ def test_examples_run(repo_root: Path, page: str, capsys: pytest.CaptureFixture[
     assert capsys.readouterr().out
 
 
-def test_training_example_runs(repo_root: Path, runs_root: Path, torch_as_it_was: None) -> None:
+def test_training_example_runs(repo_root: Path, runs_root: Path) -> None:
     (code,) = [code for code in blocks(repo_root / "docs/usage.md") if "Trainer(" in code]
     small = repr([*TINY, *SILENT, "total_frames=64"])
     shorter, found = re.subn(r'\["total_frames=\d+"\]', lambda _: small, code)

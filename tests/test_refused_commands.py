@@ -22,8 +22,6 @@ from skatemount.runs.shipped import shipped_file
 from skatemount.search import search
 from skatemount.train import train
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was")
-
 VERBS: dict[str, Callable[..., Any]] = {
     "train": train,
     "evaluate": evaluate,

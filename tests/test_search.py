@@ -23,7 +23,7 @@ from skatemount.searching import study as study_module
 from skatemount.training.callbacks import CheckpointCallback
 from skatemount.training.trainer import Trainer
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was", "no_pictures")
+pytestmark = pytest.mark.usefixtures("no_pictures")
 
 SPACE = "search.space.algorithm.target_kl=log(0.001,0.1)"
 ARGUMENTS = ["stage=balance", "search.trials=4", SPACE]

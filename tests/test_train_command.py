@@ -24,7 +24,7 @@ from skatemount.runs.checkpoint import load_training_state
 from skatemount.runs.folder import RunFolder
 from skatemount.train import train
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was", "no_pictures")
+pytestmark = pytest.mark.usefixtures("no_pictures")
 
 
 @pytest.fixture

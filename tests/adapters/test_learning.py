@@ -23,7 +23,7 @@ from skatemount.adapters.auto_reset import AutoResetEnv
 from skatemount.adapters.rsl_rl import RslRlEnv
 from skatemount.adapters.sb3 import Sb3Env
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("torch_as_it_was")]
+pytestmark = pytest.mark.slow
 
 WORLDS, STEPS, ITERATIONS = 256, 24, 30
 NOTHING, ENOUGH = 0.64, 0.7

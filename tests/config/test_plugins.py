@@ -22,8 +22,6 @@ from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was")
-
 HEAD = """
 import torch
 from torch import Tensor

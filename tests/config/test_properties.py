@@ -7,7 +7,6 @@ import dataclasses
 import math
 from typing import Any
 
-import pytest
 import torch
 from composed import stage_config
 from hypothesis import HealthCheck, given, settings
@@ -18,8 +17,6 @@ from skatemount.config import TrainConfig
 from skatemount.envs import MountEnv, MountTask
 from skatemount.utils.bounds import Bounds, bounds_of
 from skatemount.utils.errors import ConfigError
-
-pytestmark = pytest.mark.usefixtures("torch_as_it_was")
 
 GROUPS = (
     "robot",

@@ -28,7 +28,7 @@ from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was", "no_pictures")
+pytestmark = pytest.mark.usefixtures("no_pictures")
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "own_learning"
 COMMANDS = re.findall(r"^    skatemount train (.+)$", (EXAMPLE / "README.md").read_text(encoding="utf-8"), re.MULTILINE)

@@ -80,6 +80,7 @@ WEIGHTS = {
 }
 """Trainings whose weights after five iterations are kept (the chain: five iterations a stage on average)."""
 
+# Without balance, which was trained again after that commit.
 POLICIES = ["approach", "best", "gait", "history", "mount", "unfixed"]
 
 STEPS = {

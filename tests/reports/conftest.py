@@ -7,7 +7,6 @@ import shutil
 from pathlib import Path
 
 import pytest
-import torch
 from tiny import BATCH, TINY
 
 from skatemount.config import compose
@@ -25,7 +24,6 @@ ITERATIONS = 8
 @pytest.fixture(scope="session")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of runs: `first`, and `SECOND` with another seed and learning rate; the first was evaluated."""
-    precision, threads = torch.get_float32_matmul_precision(), torch.get_num_threads()
     root = tmp_path_factory.mktemp("reports") / "runs"
     for name, more in (
         ("first", ["logger.final_episodes=4"]),
@@ -36,8 +34,6 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
             f"logger.name={name}", "episode_length=1.0", "logger.tensorboard=false", *more,
         ]  # fmt: skip
         train(compose(None, given), given)
-    torch.set_float32_matmul_precision(precision)
-    torch.set_num_threads(threads)
     return root
 
 

@@ -18,7 +18,7 @@ from skatemount.report import report
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "_static" / "reports"
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("torch_as_it_was")]
+pytestmark = pytest.mark.slow
 
 
 def browse(page: Path, *options: str) -> subprocess.CompletedProcess[str]:

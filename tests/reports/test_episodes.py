@@ -20,8 +20,6 @@ from skatemount.evaluation.results import Evaluation
 from skatemount.report import report
 from skatemount.reports.episodes import Evaluated, Film, chosen_episodes, films_of_run, fitting, ranked, task_overrides
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was")
-
 needs_opengl = pytest.mark.skipif(
     os.environ.get("MUJOCO_GL") not in ("egl", "osmesa"), reason="needs OpenGL without a display"
 )

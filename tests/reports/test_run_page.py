@@ -19,8 +19,6 @@ from skatemount.reports.subjects import find_subject
 from skatemount.reports.suites import AT_END, FOR_PAGE, merged, parse
 from skatemount.runs.metrics import read_metrics
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was")
-
 SECTIONS = ["about", "repeat", "settings", "suites", "episodes", "curves", "rewards", "compute", "code"]
 QUIET = ["page.suites=[]", "page.films=0"]
 

@@ -34,8 +34,6 @@ from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was")
-
 Change = Callable[[dict[str, Any]], Any]
 
 

@@ -26,7 +26,7 @@ from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 from skatemount.utils.signals import Ended
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was", "no_pictures")
+pytestmark = pytest.mark.usefixtures("no_pictures")
 
 EVALUATED = ["logger.evaluate_every=2", "logger.evaluate_episodes=4", "logger.tensorboard=false"]
 

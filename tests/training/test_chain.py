@@ -24,8 +24,6 @@ from skatemount.training.chain import Chain, chain_to_train, compose_stages
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was")
-
 TWO = [
     "+curriculum=paper",
     "~curriculum.stages.gait",

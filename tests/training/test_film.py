@@ -115,7 +115,6 @@ def test_a_film_that_fails_is_one_warning(
 
 @pytest.mark.slow
 @needs_opengl
-@pytest.mark.usefixtures("torch_as_it_was")
 def test_a_training_leaves_a_film_of_its_last_checkpoint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,8 +21,6 @@ from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was")
-
 
 def go_on(run: RunFolder) -> TrainConfig:
     given = [f"resume={run.path}", f"total_frames={6 * BATCH}"]

@@ -25,7 +25,7 @@ from skatemount.runs.folder import RunFolder
 from skatemount.train import train
 from skatemount.utils.errors import ConfigError
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was", "no_pictures")
+pytestmark = pytest.mark.usefixtures("no_pictures")
 
 ROBOT = ["robot.variant=beetle"]
 

@@ -26,7 +26,7 @@ from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import StorageError
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was", "no_pictures")
+pytestmark = pytest.mark.usefixtures("no_pictures")
 
 real_sync = atomic._sync
 

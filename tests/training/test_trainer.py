@@ -30,7 +30,7 @@ from skatemount.training.resume import resume_config
 from skatemount.training.trainer import Trainer
 from skatemount.utils.errors import ConfigError
 
-pytestmark = pytest.mark.usefixtures("torch_as_it_was", "no_pictures")
+pytestmark = pytest.mark.usefixtures("no_pictures")
 
 
 def run(root: Path, *overrides: str, stage: str = "balance", frames: int = 3 * BATCH) -> RunFolder:
