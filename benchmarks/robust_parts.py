@@ -1,6 +1,6 @@
-"""Show what each part of the stage robust brings, at an equal number of steps, as a table and a figure.
+r"""Show what each part of the stage robust brings, at an equal number of steps, as a table and a figure.
 
-    python benchmarks/robust_parts.py --frames 1300000 algorithm.learning_rate=1e-3 \\
+    python benchmarks/robust_parts.py --frames 1300000 algorithm.learning_rate=1e-3 \
         algorithm.min_learning_rate=3e-4 algorithm.target_kl=0.1 algorithm.final_target_kl=0.02
 
 Six trainings differ in one part each: all parts; one board instead of many; true observations; targets that arrive at
