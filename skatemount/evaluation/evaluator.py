@@ -18,7 +18,7 @@ from skatemount.envs.mount_env import MountEnv
 from skatemount.envs.task import MountTask
 from skatemount.evaluation.records import EpisodeRecords, EpisodeTracker
 from skatemount.evaluation.results import Evaluation
-from skatemount.utils.devices import torch_threads
+from skatemount.utils.devices import full_precision, torch_threads
 from skatemount.utils.errors import ConfigError
 
 EVALUATION_SEED = 1_000_003
@@ -180,10 +180,10 @@ def deterministic(threads: int = 1) -> Iterator[None]:
     Args:
         threads: Torch's number of threads.
     """
-    precision = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision("highest")
-    try:
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC), torch_threads(threads):
-            yield
-    finally:
-        torch.set_float32_matmul_precision(precision)
+    with (
+        torch.no_grad(),
+        set_exploration_type(ExplorationType.DETERMINISTIC),
+        full_precision(),
+        torch_threads(threads),
+    ):
+        yield

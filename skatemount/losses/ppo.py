@@ -124,17 +124,21 @@ class PPO(Algorithm):
         }
 
     @property
+    def _imitating(self) -> bool:
+        return self.teacher is not None and self._teacher_coeff > 0
+
+    @property
     def learning_rate(self) -> float:
         """Current learning rate."""
         return float(self.optimizer.param_groups[0]["lr"])
 
     def use_min_learning_rate(self) -> None:
-        """Start with the lowest learning rate, if it adapts to the KL; for a training that starts from a policy.
+        """Start with the lowest learning rate, if it adapts to the KL at once; for a training that starts from a policy.
 
         Adam's first steps have the full size of the learning rate, whatever the gradient. A trained policy, with its
         small standard deviation, would change too much before the KL is measured for the first time.
         """
-        if self._schedule is not None:
+        if self._schedule is not None and not self._imitating:
             for group in self.optimizer.param_groups:
                 group["lr"] = self.config.min_learning_rate
 
@@ -173,20 +177,21 @@ class PPO(Algorithm):
         with self.ranks.failing_together():
             self._check_finite(batch)
         self.networks.observe(batch)
-        flat = self._inputs(batch)
-        # A few thousand states estimate the KL as well as the whole batch.
-        sample = flat.select(*self._actor.in_keys)[:: max(1, flat.numel() * self.ranks.size // KL_STATES)]
-        with torch.no_grad(), self._computing():
-            loc, scale = _moments(self._actor.get_dist(sample.copy()))
-            # The scale is a view of the parameter, which the update changes.
-            scale = scale.clone()
-
+        # The rounding of a product may depend on torch's threads, so all products of an update have the same number.
         with self._concurrent.two_threads() if self._concurrent is not None else contextlib.nullcontext():
+            flat = self._inputs(batch)
+            # A few thousand states estimate the KL as well as the whole batch.
+            sample = flat.select(*self._actor.in_keys)[:: max(1, flat.numel() * self.ranks.size // KL_STATES)]
+            with torch.no_grad(), self._computing():
+                loc, scale = _moments(self._actor.get_dist(sample.copy()))
+                # The scale is a view of the parameter, which the update changes.
+                scale = scale.clone()
             means = self._learn(flat)
-        measured = {"Loss/kl": self._divergence(sample, loc, scale), "Policy/mean_std": float(scale.mean())}
+            measured = {"Loss/kl": self._divergence(sample, loc, scale), "Policy/mean_std": float(scale.mean())}
         means = self.ranks.averaged(means | measured)
         kl = means["Loss/kl"]
-        if self._schedule is not None:
+        # The KL of an imitation is large. A rate that followed it would be too low to learn from the teacher.
+        if self._schedule is not None and not self._imitating:
             # Once per batch. The first minibatches are close to the old policy, so a schedule that steps after each of
             # them raises the rate several times before it can lower it again.
             self._schedule.step(kl)
@@ -240,7 +245,8 @@ class PPO(Algorithm):
             mean, deviation = self.ranks.mean_and_deviation(advantage)
             batch["advantage"] = (advantage - mean) / (deviation + 1e-8)
         rows = inputs.update(batch.select(*self.loss_keys))
-        if self.teacher is not None and self._teacher_coeff > 0:
+        if self._imitating:
+            assert self.teacher is not None
             rows[TEACHER_ACTION] = self.teacher(batch)
         return rows if self.networks.recurrent else rows.flatten(0, 1)
 

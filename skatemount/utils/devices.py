@@ -71,8 +71,21 @@ def on_threads(items: Iterable[T], number: int | None) -> Iterator[T]:
         yield item
 
 
+@contextlib.contextmanager
+def full_precision() -> Iterator[None]:
+    """Compute matrix products of float32 in full precision for a ``with`` block."""
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("highest")
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
+
+
 def plain_defaults(function: Callable[P, R]) -> Callable[P, R]:
-    """Run a function with torch's own defaults, float32 on the CPU, whatever the host program has set.
+    """Run a function with torch's own defaults, float32 on the CPU in full precision, whatever the program has set.
+
+    Some processors round the factors of a matrix product to bfloat16 if the networks' products may be less precise.
 
     Args:
         function: Any function or method that creates tensors without saying their type and device.
@@ -81,15 +94,16 @@ def plain_defaults(function: Callable[P, R]) -> Callable[P, R]:
     @functools.wraps(function)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
         dtype, device = torch.get_default_dtype(), torch.get_default_device()
-        # Checked first because a default device intercepts every call of torch, which costs time.
-        if dtype == torch.float32 and device.type == "cpu":
-            return function(*args, **kwargs)
-        torch.set_default_dtype(torch.float32)
-        try:
-            with torch.device("cpu"):
+        with full_precision():
+            # Checked first because a default device intercepts every call of torch, which costs time.
+            if dtype == torch.float32 and device.type == "cpu":
                 return function(*args, **kwargs)
-        finally:
-            torch.set_default_dtype(dtype)
+            torch.set_default_dtype(torch.float32)
+            try:
+                with torch.device("cpu"):
+                    return function(*args, **kwargs)
+            finally:
+                torch.set_default_dtype(dtype)
 
     return wrapped
 
