@@ -50,7 +50,8 @@ class AlgorithmConfig:
         teacher: Policy that the actor imitates in addition to what it learns from rewards; what ``checkpoint`` takes.
             null for none. It reads ``privileged``, so it can know what the actor does not see.
         teacher_coeff: Initial weight of the imitation, see `skatemount.losses.imitation`.
-        teacher_frames: Number of frames over which the weight falls linearly to 0.
+        teacher_frames: Number of frames over which the weight falls linearly to 0. Until then ``learning_rate`` stays
+            as it is set, because the KL divergence of an imitation is large.
         compile: Compile the networks for the updates with torch. Updates are faster, but the first one takes a minute,
             and a C++ compiler must be installed.
     """

@@ -133,7 +133,7 @@ class PPO(Algorithm):
         return float(self.optimizer.param_groups[0]["lr"])
 
     def use_min_learning_rate(self) -> None:
-        """Start with the lowest learning rate, if it adapts to the KL at once; for a training that starts from a policy.
+        """Start with the lowest learning rate if it adapts to the KL now; for a training that starts from a policy.
 
         Adam's first steps have the full size of the learning rate, whatever the gradient. A trained policy, with its
         small standard deviation, would change too much before the KL is measured for the first time.

@@ -34,7 +34,7 @@ def test_a_card_of_format_1_is_read_under_todays_names(card: str) -> None:
 def test_a_setting_that_did_not_exist_has_the_value_of_its_time_not_todays_default(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The shipped balance policy lacks 17 settings; it stays the same policy when every default changes."""
+    """A balance policy of format 1 lacks 17 settings; it stays the same policy when every default changes."""
     old = saved("balance")
     missing = [key for key in ADDED if not has(upgraded_names(old), key)]
     assert "observation.history_length" in missing and "physics.tolerance" in missing

@@ -82,6 +82,20 @@ def test_specs_hold_whatever_the_hosts_defaults_are(make_env, host_default: str)
         check_env_specs(env)
 
 
+def test_less_precise_networks_leave_the_environment_as_precise(make_env) -> None:
+    def steps(precision: str) -> TensorDict:
+        torch.set_float32_matmul_precision(precision)
+        env = make_env("unfixed", 256, [*SHORT, "observation=history"])
+        seen = env.rollout(2)
+        assert torch.get_float32_matmul_precision() == precision
+        return seen
+
+    torch.manual_seed(0)
+    exact = steps("highest")
+    torch.manual_seed(0)
+    assert (exact == steps("medium")).all()
+
+
 def test_the_composer_task_ignores_the_hosts_defaults(host_default: str) -> None:
     env = composer.Environment(MountTask("balance", SHORT), random_state=0, recompile_mjcf_every_episode=False)
     env.reset()
