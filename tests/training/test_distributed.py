@@ -35,6 +35,8 @@ LIVELY = ["episode_length=0.3", "randomization.push_interval=[0.05,0.2]", "rando
 QUIET = [*TINY, "logger.tensorboard=false", "logger.progress_every=1e6"]
 QUIET += ["distributed.check_every=1", "physics.device=cpu"]
 SAME = ["algorithm.epochs=1", "algorithm.minibatches=1", "callbacks=[rank_callbacks:HandsOver]", "stage=balance"]
+# Otherwise some processors round the products to three digits, and not the same for batches of another size.
+SAME += ["precision=highest"]
 AUTO = [*LIVELY, "stage=unfixed", "curriculum=auto", "init_from=null", "seed=4"]
 STUCK = "curriculum.stuck_start_fraction=0.5"
 
