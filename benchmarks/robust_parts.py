@@ -1,13 +1,10 @@
-r"""Show what each part of the stage robust brings, at an equal number of steps, as a table and a figure.
+"""Show what each part of the stage robust brings, at an equal number of steps, as a table and a figure.
 
-    python benchmarks/robust_parts.py --frames 1300000 algorithm.learning_rate=1e-3 \
-        algorithm.min_learning_rate=3e-4 algorithm.target_kl=0.1 algorithm.final_target_kl=0.02
+    python benchmarks/robust_parts.py --frames 1300000
 
 Six trainings differ in one part each: all parts; one board instead of many; true observations; targets that arrive at
 once; no pushes; one frame instead of three. Each begins from scratch with the same seed and the same teacher, see
 `algorithm.teacher`. Every final policy is evaluated on the same suites.
-
-With the smaller learning rates of the stage, a training from scratch barely begins in so few steps.
 
 Trainings run one after the other. Start the script again to continue; finished work is not repeated. Settings after the
 options apply to every training, such as `physics.num_worlds=128`.
@@ -139,7 +136,7 @@ def main() -> None:
     """Train, evaluate, and write table and figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--teacher", default="pretrained:robust-teacher", help="policy that every training imitates")
-    parser.add_argument("--frames", type=int, default=4_000_000, help="environment steps of each training")
+    parser.add_argument("--frames", type=int, default=3_000_000, help="environment steps of each training")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--suites", nargs="+", default=list(SUITES))
     parser.add_argument("--episodes", type=int, default=500, help="of each evaluation")
@@ -149,6 +146,7 @@ def main() -> None:
     settings = [
         *("stage=robust", "curriculum=none", "observation=student", "init_from=null"),
         *(f"algorithm.teacher={options.teacher}", f"algorithm.teacher_frames={options.frames}"),
+        f"algorithm.std_frames={options.frames}",
         *options.overrides,
     ]
     comparison = Comparison(options.out, settings, options.frames, options.suites, options.episodes)
