@@ -20,7 +20,7 @@ def main() -> None:
     try:
         # The simulation's time. On a robot leave out clock and sleep: the defaults are those of the computer.
         done = run(folder, robot, seconds=6, limits=Limits(tilt=50, torque=0.9), clock=bus.time, sleep=bus.wait)
-        print(f"{done.steps} control steps, {done.late} late, limits changed {done.changed} targets")
+        print(f"{done.steps} control steps, {done.late} late, limits changed targets in {done.changed} steps")
     except EmergencyStop as stopped:
         print(f"stopped: {stopped}")
     board, trunk = bus.data.body(bus.board), bus.data.body(bus.trunk)
