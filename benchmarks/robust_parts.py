@@ -29,7 +29,7 @@ from skatemount.runs.folder import RunFolder
 PARTS: dict[str, list[str]] = {
     "all parts": [],
     "one board": ["boards=one"],
-    "true observations": ["sensing=ideal", "sensing.target_delay=[0.0,0.04]"],
+    "true observations": ["sensing=ideal", "sensing.target_delay=[0.0,0.06]"],
     "no delay of targets": ["sensing.target_delay=[0.0,0.0]"],
     "no pushes": ["randomization.push_velocity=[0.0,0.0]"],
     "one frame": ["observation.history_length=1"],
