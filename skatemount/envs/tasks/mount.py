@@ -56,7 +56,7 @@ MOUNT = TASKS.register(
             Metric(
                 name="feet_on_board",
                 label="feet on board",
-                meaning="mean number of feet that press on the deck in the last second; an episode that ended early counts 0",
+                meaning="mean number of feet that press on the deck in the last second; 0 if the episode ended early",
                 measure=FeetOnBoard,
                 counts="complete",
                 otherwise=0.0,
