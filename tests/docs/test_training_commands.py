@@ -35,9 +35,7 @@ def test_settings_exist_and_fit(page: Path) -> None:
 
 
 def test_commands_are_found() -> None:
-    text = (
-        "$ python -m skatemount.train stage=a\n\n    python -m skatemount.train stage=b \\\n    'c=[1,2]'  # why\n"
-    )
+    text = "$ python -m skatemount.train stage=a\n\n    python -m skatemount.train stage=b \\\n    'c=[1,2]'  # why\n"
     assert list(trainings(text)) == [["stage=a"], ["stage=b", "c=[1,2]"]]
     assert list(trainings("$ python -m skatemount.train resume=latest\n")) == []
     assert len(COMMANDS) > 50
