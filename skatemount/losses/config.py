@@ -50,8 +50,8 @@ class AlgorithmConfig:
         teacher: Policy that the actor imitates in addition to what it learns from rewards; what ``checkpoint`` takes.
             null for none. It reads ``privileged``, so it can know what the actor does not see.
         teacher_coeff: Initial weight of the imitation, see `skatemount.losses.imitation`.
-        teacher_frames: Number of frames over which the weight falls linearly to 0. Until then ``learning_rate`` stays
-            as it is set, because the KL divergence of an imitation is large.
+        teacher_frames: Number of frames over which the weight falls linearly to 0. The learning rate falls with it to
+            ``min_learning_rate``, and does not follow the KL divergence, which is large during an imitation.
         compile: Compile the networks for the updates with torch. Updates are faster, but the first one takes a minute,
             and a C++ compiler must be installed.
     """

@@ -133,17 +133,20 @@ class PPO(Algorithm):
         return float(self.optimizer.param_groups[0]["lr"])
 
     def use_min_learning_rate(self) -> None:
-        """Start with the lowest learning rate if it adapts to the KL now; for a training that starts from a policy.
+        """Start with the lowest learning rate, if it adapts to the KL; for a training that starts from a policy.
 
         Adam's first steps have the full size of the learning rate, whatever the gradient. A trained policy, with its
         small standard deviation, would change too much before the KL is measured for the first time.
         """
-        if self._schedule is not None and not self._imitating:
-            for group in self.optimizer.param_groups:
-                group["lr"] = self.config.min_learning_rate
+        if self._schedule is not None:
+            self._set_learning_rate(self.config.min_learning_rate)
+
+    def _set_learning_rate(self, rate: float) -> None:
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
 
     def step_schedules(self, frames: int, total_frames: int) -> None:
-        """Set the exploration and the target KL that the settings give for this moment of the training.
+        """Set the exploration, the target KL, and the imitation that the settings give for this moment of the training.
 
         Wide exploration finds the step up, but its noise prevents the robot from learning to stand there.
 
@@ -152,7 +155,11 @@ class PPO(Algorithm):
             total_frames: Number of frames of the whole training.
         """
         c = self.config
-        self._teacher_coeff = c.teacher_coeff * max(0.0, 1 - frames / c.teacher_frames)
+        taught = max(0.0, 1 - frames / c.teacher_frames)
+        self._teacher_coeff = c.teacher_coeff * taught
+        if self._schedule is not None and self._imitating:
+            # The KL of an imitation is large, and a rate that followed it would be too low to learn from the teacher.
+            self._set_learning_rate(max(c.min_learning_rate, c.learning_rate * taught))
         if c.final_std is not None:
             first = self.networks.config.max_std
             self.networks.limit_std(_anneal(first, c.final_std, frames / c.std_frames))
@@ -190,7 +197,6 @@ class PPO(Algorithm):
             measured = {"Loss/kl": self._divergence(sample, loc, scale), "Policy/mean_std": float(scale.mean())}
         means = self.ranks.averaged(means | measured)
         kl = means["Loss/kl"]
-        # The KL of an imitation is large. A rate that followed it would be too low to learn from the teacher.
         if self._schedule is not None and not self._imitating:
             # Once per batch. The first minibatches are close to the old policy, so a schedule that steps after each of
             # them raises the rate several times before it can lower it again.

@@ -177,15 +177,14 @@ def test_impossible_schedules_are_refused(settings: dict[str, Any], message: str
         defaults.algorithm(**settings).validate()
 
 
-def test_learning_rate_follows_the_kl_only_after_the_imitation() -> None:
-    ppo = make(learning_rate=1e-3, min_learning_rate=1e-5, target_kl=1e-9, teacher="given here", teacher_frames=100)
+def test_learning_rate_falls_with_the_imitation_and_follows_the_kl_afterwards() -> None:
+    ppo = make(learning_rate=1e-3, min_learning_rate=1e-5, target_kl=1e9, teacher="given here", teacher_frames=100)
     ppo.teacher = lambda batch: torch.ones_like(batch["action"])
-    ppo.use_min_learning_rate()
     rates = []
-    for frames in (0, 50, 99, 100, 150):
+    for frames in (0, 50, 99.5, 100, 150):
         ppo.step_schedules(frames, 200)
-        rates.append(ppo.update(collect(ppo.networks, seed=frames))["Loss/learning_rate"])
-    assert rates[:3] == [1e-3] * 3 and 1e-3 > rates[3] > rates[4]
+        rates.append(ppo.update(collect(ppo.networks, seed=int(frames)))["Loss/learning_rate"])
+    assert rates[:3] == [1e-3, 5e-4, 1e-5] and 1e-5 < rates[3] < rates[4]
 
 
 def test_learning_rate_stays_without_a_target() -> None:
