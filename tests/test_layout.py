@@ -46,6 +46,7 @@ TESTED_IN = {
     "evaluation/report.py": "evaluation/test_results.py",
     "losses/base.py": "examples/test_own_learning.py",
     "losses/config.py": "losses/test_ppo.py",
+    "losses/finite.py": "losses/test_ppo.py",
     "losses/imitation.py": "agents/test_teacher.py",
     "exporting/folder.py": "runner/test_folder.py",
     "exporting/starts.py": "runner/test_simulation.py",

@@ -15,9 +15,10 @@ from torchrl.modules import IndependentNormal, set_recurrent_mode
 from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR, LossModule
 from torchrl.objectives.value import GAE
 
-from skatemount.losses.base import Algorithm, NotFinite
+from skatemount.losses.base import Algorithm
 from skatemount.losses.concurrent import ConcurrentCritic
 from skatemount.losses.config import AlgorithmConfig
+from skatemount.losses.finite import check_finite
 from skatemount.losses.imitation import TEACHER_ACTION, imitation_loss
 from skatemount.models.base import Networks
 from skatemount.utils.devices import torch_threads
@@ -182,7 +183,7 @@ class PPO(Algorithm):
                 finite, and the weights are those before that minibatch.
         """
         with self.ranks.failing_together():
-            self._check_finite(batch)
+            check_finite(self.networks, batch)
         self.networks.observe(batch)
         # The rounding of a product may depend on torch's threads, so all products of an update have the same number.
         with self._concurrent.two_threads() if self._concurrent is not None else contextlib.nullcontext():
@@ -285,30 +286,6 @@ class PPO(Algorithm):
         """
         taught = {"Loss/teacher": means["loss_teacher"]} if "loss_teacher" in means else {}
         return {"Loss/clip_fraction": means["clip_fraction"], **taught}
-
-    def _check_finite(self, batch: TensorDictBase) -> None:
-        """Raise `NotFinite` for values that are not finite, which would stay in the normalizers forever.
-
-        The error names the first cause: a weight, then the earliest step of the batch, in the order of a step.
-        """
-        for name, weights in self.networks.named_parameters():
-            if not bool(torch.isfinite(weights).all()):
-                raise FloatingPointError(f"weight {name} is not finite")
-        seen = dict.fromkeys([*self.networks.critic_keys, *self.networks.actor_keys])
-        order = [*seen, "action", *(("next", key) for key in seen), ("next", "reward")]
-        broken = {key: ~torch.isfinite(batch[key]).flatten(2).all(2) for key in order}
-        if not any(bool(flags.any()) for flags in broken.values()):
-            return
-        key = min((key for key in order if broken[key].any()), key=lambda k: int(broken[k].any(0).int().argmax()))
-        step = int(broken[key].any(0).int().argmax())
-        worlds = broken[key].any(1)
-        world = int(broken[key][:, step].int().argmax())
-        raise NotFinite(
-            f"{key if isinstance(key, str) else '.'.join(key)} is not finite in {int(worlds.sum())} of {len(worlds)} "
-            f"worlds, first in world {world} at step {step} of the batch",
-            key if isinstance(key, str) else key[-1],
-            ~torch.isfinite(batch[key][:, step]).all(0),
-        )
 
     def _step(self, part: TensorDictBase) -> dict[str, Tensor]:
         """Take a gradient step on a minibatch, ``[rows]``, and return the losses."""
